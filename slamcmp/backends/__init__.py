@@ -1,0 +1,1 @@
+"""Estimators: Kalman filter, EKF-SLAM, and GTSAM's smoothers."""

@@ -1,0 +1,1 @@
+"""Recorded logs and the file formats they come in."""

@@ -1,0 +1,1 @@
+"""Configuration, trials, runner, executors and result store."""

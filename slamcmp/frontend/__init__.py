@@ -1,0 +1,1 @@
+"""From a log's raw detections to the one frozen stream that every back end is given."""

@@ -1,0 +1,112 @@
+"""Store a measurement stream as npz and load it back to the same digest (no pickle)."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slamcmp.errors import DataError, MissingDataError
+from slamcmp.models.sensors import make_sensor
+from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem
+
+FORMAT = "slamcmp-stream-1"
+
+
+def save_stream(stream: MeasurementStream, path: Path | str) -> None:
+    """Write the stream to ``path`` atomically (an interrupted write leaves the old file)."""
+    path = Path(path)
+    frames, sensor = stream.frames, stream.problem.sensor
+    header = {
+        "format": FORMAT,
+        "digest": stream.digest,
+        "sensor": sensor.name,
+        "parameters": dict(sensor.parameters()),
+        "stages": None if stream.report is None else list(stream.report.stages),
+    }
+    arrays: dict[str, Any] = {
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        "prior_T": stream.problem.T_world_body,
+        "prior_P": stream.problem.P,
+        "t": np.array([frame.t for frame in frames]),
+        "T_prev_body": np.stack([frame.T_prev_body for frame in frames]),
+        "Q": np.stack([frame.Q for frame in frames]),
+        "size": np.array([frame.ids.size for frame in frames]),
+        "ids": np.concatenate([frame.ids for frame in frames]),
+        "z": np.concatenate([frame.z for frame in frames]),
+        "R": np.concatenate([frame.R for frame in frames]),
+    }
+    if stream.report is not None:
+        arrays["counts"] = stream.report.counts
+        arrays["kept_size"] = np.array([mask.size for mask in stream.report.kept])
+        arrays["kept"] = np.concatenate(stream.report.kept)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def load_stream(path: Path | str) -> MeasurementStream:
+    """Read a stream and check that its content still has the digest it was stored with.
+
+    Raises:
+        MissingDataError: there is no such file.
+        DataError: the file is not a stream, is damaged, or its content does not match its digest.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingDataError(f"{path}: there is no such stream file")
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            data = {name: stored[name] for name in stored.files}
+        header = json.loads(data["header"].tobytes().decode())
+        if header["format"] != FORMAT:
+            raise DataError(f"{path}: format {header['format']!r} where {FORMAT!r} is needed")
+        stream = _rebuild(header, data)
+    except DataError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise DataError(
+            f"{path}: not a measurement stream, or damaged ({type(error).__name__}: {error}); "
+            "write one with 'slamcmp stream save'"
+        ) from error
+    if stream.digest != header["digest"]:
+        raise DataError(
+            f"{path}: the content's digest {stream.digest[:12]}… is not the stored "
+            f"{header['digest'][:12]}…: the file was changed after it was written"
+        )
+    return stream
+
+
+def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
+    for array in data.values():
+        array.flags.writeable = False
+    ends = np.cumsum(data["size"])
+    starts = ends - data["size"]
+    if len(data["ids"]) != (ends[-1] if ends.size else 0):
+        raise DataError("the observation arrays do not have the length that the frames add up to")
+    frames = tuple(
+        Frame(
+            k,
+            float(data["t"][k]),
+            data["T_prev_body"][k],
+            data["Q"][k],
+            data["ids"][a:b],
+            data["z"][a:b],
+            data["R"][a:b],
+        )
+        for k, (a, b) in enumerate(zip(starts, ends, strict=True))
+    )
+    report = None
+    if header["stages"] is not None:
+        kept = np.split(data["kept"], np.cumsum(data["kept_size"])[:-1])
+        report = FrontEndReport(tuple(header["stages"]), data["counts"], tuple(kept))
+    sensor = make_sensor(header["sensor"], header["parameters"])
+    return MeasurementStream(Problem(data["prior_T"], data["prior_P"], sensor), frames, report)

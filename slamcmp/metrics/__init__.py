@@ -1,0 +1,1 @@
+"""Accuracy, consistency and cost: plain functions in a registry."""

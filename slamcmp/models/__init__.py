@@ -1,0 +1,1 @@
+"""Motion and sensor models with their Jacobians and noise."""

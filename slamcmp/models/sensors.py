@@ -1,0 +1,151 @@
+"""Landmark sensors: h, its inverse, its Jacobians and its residual.
+
+========  ======================================================================
+symbol    meaning
+========  ======================================================================
+q         landmark in the body frame, R^T (l - p), (..., n) [m]
+z         measurement, (..., d)
+H_pose    derivative of h by the body tangent of the pose, (..., d, p)
+H_land    derivative of h by the landmark in the world, (..., d, n)
+========  ======================================================================
+
+With ``T exp(xi)``, dq = -v + q x omega (SE(3)) and dq = -v - theta J q, J = [[0, -1], [1, 0]] (SE(2));
+Solà 2018, eq. 168 and 183, for the action of the inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.errors import DataError
+from slamcmp.geometry import hat, transform, wrap
+from slamcmp.protocols import SensorModel
+from slamcmp.registry import sensors
+
+FloatArray = NDArray[np.float64]
+
+
+def body_point(T_world_body: FloatArray, p_world: FloatArray) -> FloatArray:
+    """World points (..., n) in the body frame."""
+    R, t = T_world_body[..., :-1, :-1], T_world_body[..., :-1, -1]
+    # Row vectors times R are R^T times column vectors.
+    return ((p_world - t)[..., None, :] @ R)[..., 0, :]
+
+
+def body_point_jacobians(T_world_body: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Derivatives of the body point q (..., n) by the pose (..., n, p) and the world point (..., n, n)."""
+    n = q.shape[-1]
+    R_t = np.swapaxes(T_world_body[..., :-1, :-1], -1, -2)
+    H_point = np.broadcast_to(R_t, (*q.shape[:-1], n, n))
+    if n == 2:
+        H_pose = np.zeros((*q.shape[:-1], 2, 3))
+        H_pose[..., 0, 0] = H_pose[..., 1, 1] = -1.0
+        H_pose[..., 0, 2], H_pose[..., 1, 2] = q[..., 1], -q[..., 0]
+    else:
+        H_pose = np.zeros((*q.shape[:-1], 3, 6))
+        H_pose[..., :3] = hat(q)
+        H_pose[..., 0, 3] = H_pose[..., 1, 4] = H_pose[..., 2, 5] = -1.0
+    return H_pose, H_point
+
+
+@sensors.register("relative_position")
+class RelativePosition:
+    """Position of the landmark in the body frame, z = R^T (l - p), in metres; planar or in space."""
+
+    name = "relative_position"
+
+    def __init__(self, *, space_dim: int = 2) -> None:
+        if space_dim not in (2, 3):
+            raise DataError(f"relative_position: space_dim is {space_dim}; 2 or 3 is needed")
+        self.space_dim = space_dim
+        self.dim = space_dim
+        self.components = ("x_m", "y_m", "z_m")[:space_dim]
+
+    def parameters(self) -> Mapping[str, float]:
+        return {"space_dim": self.space_dim}
+
+    def predict(self, T_world_body: FloatArray, landmark: FloatArray) -> FloatArray:
+        return body_point(T_world_body, landmark)
+
+    def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:
+        return transform(T_world_body, z)
+
+    def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return body_point_jacobians(T_world_body, body_point(T_world_body, landmark))
+
+    def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
+        return z - z_predicted
+
+
+@sensors.register("range_bearing")
+class RangeBearing:
+    """Range [m] and bearing [rad, from the body's x axis, counter-clockwise] of a landmark in the plane.
+
+    The bearing has no derivative at range 0; the results there are not finite.
+    """
+
+    name = "range_bearing"
+    space_dim = 2
+    dim = 2
+    components = ("range_m", "bearing_rad")
+
+    def parameters(self) -> Mapping[str, float]:
+        return {}
+
+    def predict(self, T_world_body: FloatArray, landmark: FloatArray) -> FloatArray:
+        q = body_point(T_world_body, landmark)
+        z = np.empty_like(q)
+        z[..., 0] = np.hypot(q[..., 0], q[..., 1])
+        z[..., 1] = np.arctan2(q[..., 1], q[..., 0])
+        return z
+
+    def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:
+        q = np.empty_like(z)
+        q[..., 0] = z[..., 0] * np.cos(z[..., 1])
+        q[..., 1] = z[..., 0] * np.sin(z[..., 1])
+        return transform(T_world_body, q)
+
+    def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
+        q = body_point(T_world_body, landmark)
+        x, y = q[..., 0], q[..., 1]
+        r2 = x * x + y * y
+        r = np.sqrt(r2)
+        D = np.empty((*q.shape[:-1], 2, 2))
+        D[..., 0, 0], D[..., 0, 1] = x / r, y / r
+        D[..., 1, 0], D[..., 1, 1] = -y / r2, x / r2
+        H_pose = np.zeros((*q.shape[:-1], 2, 3))
+        H_pose[..., :2] = -D
+        # Turning on the spot changes no range and turns every bearing back by the same angle.
+        H_pose[..., 1, 2] = -1.0
+        return H_pose, D @ np.swapaxes(T_world_body[..., :-1, :-1], -1, -2)
+
+    def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
+        y = z - z_predicted
+        y[..., 1] = wrap(y[..., 1])
+        return y
+
+
+def polar_to_cartesian(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Range-bearing (m, 2) with R (m, 2, 2) as relative positions with first-order covariances."""
+    r, b = z[..., 0], z[..., 1]
+    cos, sin = np.cos(b), np.sin(b)
+    D = np.stack([np.stack([cos, -r * sin], -1), np.stack([sin, r * cos], -1)], -2)
+    return np.stack([r * cos, r * sin], -1), D @ R @ np.swapaxes(D, -1, -2)
+
+
+def cartesian_to_polar(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Relative positions (m, 2) with R (m, 2, 2) as range-bearing with first-order covariances."""
+    x, y = z[..., 0], z[..., 1]
+    r2 = x * x + y * y
+    r = np.sqrt(r2)
+    D = np.stack([np.stack([x / r, y / r], -1), np.stack([-y / r2, x / r2], -1)], -2)
+    return np.stack([r, np.arctan2(y, x)], -1), D @ R @ np.swapaxes(D, -1, -2)
+
+
+def make_sensor(name: str, parameters: Mapping[str, float]) -> SensorModel:
+    """The sensor a stored stream names."""
+    return cast(SensorModel, sensors.get(name).target(**parameters))

@@ -1,0 +1,158 @@
+"""One mechanism for every kind of plug-in: a file in the right package and one decorator.
+
+``@back_ends.register("my_ekf")`` above a class is all that is needed; the modules of a registry's packages
+are imported the first time somebody asks for a name, so nothing else has to be edited and ``--help`` stays
+fast.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from slamcmp.errors import UsageError
+
+Target = TypeVar("Target", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A registered class or function with what the registry knows about it."""
+
+    name: str
+    target: Callable[..., Any]
+    traits: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def summary(self) -> str:
+        """The first sentence of the target's docstring."""
+        text = inspect.getdoc(self.target) or ""
+        return text.split("\n\n", 1)[0].replace("\n", " ")
+
+    def parameters(self) -> dict[str, inspect.Parameter]:
+        """The keyword-only parameters a configuration may set, with resolved annotations."""
+        signature = inspect.signature(self.target, eval_str=True)
+        return {
+            name: parameter
+            for name, parameter in signature.parameters.items()
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        }
+
+
+class Registry:
+    """The plug-ins of one kind, found by importing every module of the packages that hold them."""
+
+    def __init__(self, kind: str, *packages: str) -> None:
+        self.kind = kind
+        self._packages = packages
+        self._plugins: dict[str, Plugin] = {}
+        self._loaded = False
+
+    def register(self, name: str, **traits: Any) -> Callable[[Target], Target]:
+        """Decorator that adds a class or function under ``name``; parameters are its keyword-only ones."""
+
+        def add(target: Target) -> Target:
+            known = self._plugins.get(name)
+            if known is not None and (known.target.__module__ != target.__module__):
+                raise ValueError(
+                    f"{self.kind} {name!r} is registered twice: in {known.target.__module__} "
+                    f"and in {target.__module__}"
+                )
+            self._plugins[name] = Plugin(name, target, traits)
+            return target
+
+        return add
+
+    def __iter__(self) -> Iterator[Plugin]:
+        self._load()
+        return iter(sorted(self._plugins.values(), key=lambda plugin: plugin.name))
+
+    def names(self) -> list[str]:
+        """Every registered name, sorted."""
+        return [plugin.name for plugin in self]
+
+    def __contains__(self, name: str) -> bool:
+        self._load()
+        return name in self._plugins
+
+    def get(self, name: str) -> Plugin:
+        """The plug-in called ``name``, or the one in a user's file (``path/file.py:Name``).
+
+        Raises:
+            UsageError: no such plug-in; the message lists near matches and all names.
+        """
+        if ".py:" in name:
+            return load_user_plugin(name, self.kind)
+        self._load()
+        if name not in self._plugins:
+            raise UsageError(f"unknown {self.kind} {name!r}{did_you_mean(name, self._plugins)}")
+        return self._plugins[name]
+
+    def _load(self) -> None:
+        if self._loaded:
+            return
+        self._loaded = True
+        for package_name in self._packages:
+            package = importlib.import_module(package_name)
+            for module in pkgutil.iter_modules(package.__path__, package_name + "."):
+                importlib.import_module(module.name)
+
+
+def did_you_mean(name: str, known: Any) -> str:
+    """``; did you mean 'x'? known: a, b, c``, ready to be appended to an error message."""
+    names = sorted(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"{hint} Known: {', '.join(names)}" if hint else f"; known: {', '.join(names)}"
+
+
+def load_user_plugin(spec: str, kind: str = "back end") -> Plugin:
+    """Import ``path/file.py:Name`` from the user's own file.
+
+    The file's directory goes onto ``sys.path`` so that the file can import its neighbours.
+
+    Raises:
+        UsageError: no such file, the file does not import, or it has no such name.
+    """
+    path_text, _, attribute = spec.rpartition(":")
+    path = Path(path_text).expanduser().resolve()
+    if not path.is_file():
+        raise UsageError(f"{kind} {spec!r}: there is no file {path}")
+    module_name = f"slamcmp_user_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    module = sys.modules.get(module_name)
+    if module is None:
+        module_spec = importlib.util.spec_from_file_location(module_name, path)
+        if module_spec is None or module_spec.loader is None:
+            raise UsageError(f"{kind} {spec!r}: {path} is not a Python file")
+        module = importlib.util.module_from_spec(module_spec)
+        if str(path.parent) not in sys.path:
+            sys.path.insert(0, str(path.parent))
+        sys.modules[module_name] = module
+        try:
+            module_spec.loader.exec_module(module)
+        except Exception as error:
+            del sys.modules[module_name]
+            raise UsageError(f"{kind} {spec!r}: {path} does not import: {error!r}") from error
+    target = getattr(module, attribute, None)
+    if not callable(target):
+        classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
+        raise UsageError(f"{kind} {spec!r}: {path} has no {attribute!r}{did_you_mean(attribute, classes)}")
+    return Plugin(f"{path.name}:{attribute}", target, {"user_file": path})
+
+
+sources = Registry("source", "slamcmp.worlds", "slamcmp.datasets")
+front_ends = Registry("front end", "slamcmp.frontend")
+back_ends = Registry("back end", "slamcmp.backends")
+sensors = Registry("sensor", "slamcmp.models")
+metrics = Registry("metric", "slamcmp.metrics")
+executors = Registry("executor", "slamcmp.experiment")
+figures = Registry("figure", "slamcmp.report")
