@@ -1,0 +1,122 @@
+"""The planar front end: labelled detections, checked one by one, frozen into a stream.
+
+The Mahalanobis test (the course's third step) needs a prediction of where a landmark should appear. It must
+not be a back end's, or the back ends would not share one stream: the front end keeps its own, one small
+robot-centred filter a landmark (:class:`LandmarkTracks`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from slamcmp.frontend.landmark_tracks import LandmarkTracks
+from slamcmp.registry import front_ends
+from slamcmp.types import Detections, Frame, FrontEndReport, Log, MeasurementStream
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+STAGES = ("not_finite", "unlabelled", "duplicate", "range", "field_of_view", "mahalanobis", "unconfirmed")
+
+
+@front_ends.register("labelled")
+def labelled(
+    log: Log,
+    seed: int,  # noqa: ARG001
+    *,
+    range_min_m: Annotated[float, Ge(0)] = 0.0,
+    range_max_m: Annotated[float, Gt(0)] = float("inf"),
+    field_of_view_deg: Annotated[float, Gt(0), Le(360)] = 360.0,
+    gate_probability: Annotated[float, Gt(0), Lt(1)] | None = 0.9999,
+    restart_after: Annotated[int, Ge(1)] = 5,
+    min_sightings: Annotated[int, Ge(1), Le(2)] = 1,
+) -> MeasurementStream:
+    """Labelled detections that pass the range, field-of-view and Mahalanobis tests.
+
+    Args:
+        log: detections with ids (planar or spatial).
+        seed: not used; nothing here is random.
+        range_min_m: closer detections are dropped [m].
+        range_max_m: farther detections are dropped [m].
+        field_of_view_deg: full opening angle about the body's x axis [deg].
+        gate_probability: share of correct detections that the Mahalanobis test lets through; None: no test.
+        restart_after: so many rejections of one landmark in a row mean that the front end's own prediction
+            is what is wrong; it starts again from the next detection.
+        min_sightings: 2 holds a landmark back until a second detection agrees with the first; use it where
+            detections may be outliers, since nothing else can test a first sighting.
+
+    Returns:
+        The stream; its report counts what each stage removed in each frame.
+    """
+    sensor = log.problem.sensor
+    threshold = np.inf if gate_probability is None else float(chdtri(sensor.dim, 1.0 - gate_probability))
+    uses_tracks = gate_probability is not None or min_sightings > 1
+    tracks = LandmarkTracks(sensor, threshold, restart_after, min_sightings) if uses_tracks else None
+    frames, kept, counts = [], [], []
+    for k, detections in enumerate(log.detections):
+        passed, removed = _static_checks(
+            detections, _body_points(log, detections), range_min_m, range_max_m, field_of_view_deg
+        )
+        if tracks is not None:
+            tracks.predict(log.T_prev_body[k], log.Q[k])
+            rows = np.flatnonzero(passed)
+            verdict = tracks.test(detections.ids[rows], detections.z[rows], detections.R[rows])
+            removed += [int(verdict.rejected.sum()), int(verdict.unconfirmed.sum())]
+            passed[rows[verdict.rejected | verdict.unconfirmed]] = False
+        else:
+            removed += [0, 0]
+        counts.append([passed.size, *removed, int(passed.sum())])
+        kept.append(passed)
+        frames.append(
+            Frame(
+                k,
+                float(log.t[k]),
+                log.T_prev_body[k],
+                log.Q[k],
+                detections.ids[passed],
+                detections.z[passed],
+                detections.R[passed],
+            )
+        )
+    report = FrontEndReport(STAGES, np.array(counts, dtype=np.int64), tuple(kept))
+    return MeasurementStream(log.problem, tuple(frames), report)
+
+
+def _body_points(log: Log, detections: Detections) -> FloatArray:
+    """Where each detection lies in the body frame, (m, n) [m]."""
+    return log.problem.sensor.invert(np.eye(log.problem.sensor.space_dim + 1), detections.z)
+
+
+def _static_checks(
+    detections: Detections,
+    body_points: FloatArray,
+    range_min_m: float,
+    range_max_m: float,
+    field_of_view_deg: float,
+) -> tuple[BoolArray, list[int]]:
+    """The checks that need no memory; a detection is counted at the first one it fails."""
+    ids = detections.ids
+    finite = np.isfinite(detections.z).all(axis=1) & np.isfinite(detections.R).all(axis=(1, 2))
+    first = np.zeros(ids.size, dtype=bool)
+    first[np.unique(ids, return_index=True)[1]] = True
+    with np.errstate(invalid="ignore"):
+        distance = np.linalg.norm(body_points, axis=1)
+        off_axis = np.arctan2(np.linalg.norm(body_points[:, 1:], axis=1), body_points[:, 0])
+        checks = (
+            finite,
+            ids >= 0,
+            first | (ids < 0),
+            (distance >= range_min_m) & (distance <= range_max_m),
+            off_axis <= np.radians(field_of_view_deg / 2.0),
+        )
+    passed = np.ones(ids.size, dtype=bool)
+    removed = []
+    for check in checks:
+        removed.append(int((passed & ~check).sum()))
+        passed &= check
+    return passed, removed
