@@ -43,7 +43,7 @@ class SensorModel(Protocol):
         """``(H_pose (..., d, p), H_landmark (..., d, n))``; the pose's in the body tangent."""
 
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
-        """``z - z_predicted`` with angles wrapped to (-pi, pi], ``(..., d)``."""
+        """``z - z_predicted`` with angles wrapped to [-pi, pi], ``(..., d)``."""
 
 
 @runtime_checkable

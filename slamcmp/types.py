@@ -38,8 +38,9 @@ def frozen(value: Any, name: str, shape: tuple[int | None, ...], dtype: Any = np
         DataError: the shape differs; the message names the field and both shapes.
     """
     array: NDArray[Any] = np.asarray(value, dtype=dtype)
-    if array.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want is not None and want != have for want, have in zip(shape, array.shape, strict=True))
     ):
         wanted = tuple("any" if size is None else size for size in shape)
         raise DataError(f"{name}: shape {array.shape} where {wanted} is needed")
@@ -308,13 +309,12 @@ class Estimate:
     """Covariance in the body tangent, (p, p)."""
 
     def __post_init__(self) -> None:
-        n = np.shape(self.T_world_body)[-1] - 1
-        p = TANGENT_DIM.get(n, 0)
-        _set(
-            self,
-            T_world_body=frozen(self.T_world_body, "Estimate.T_world_body", (n + 1, n + 1)),
-            P=frozen(self.P, "Estimate.P", (p, p)),
-        )
+        size = np.shape(self.T_world_body)[-1]
+        p = TANGENT_DIM.get(size - 1, 0)
+        # Once a frame and timed with the back end: no detour through _set.
+        put = object.__setattr__
+        put(self, "T_world_body", frozen(self.T_world_body, "Estimate.T_world_body", (size, size)))
+        put(self, "P", frozen(self.P, "Estimate.P", (p, p)))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,170 @@
+"""The joint covariance of an EKF-SLAM state, changed in place by a few named verbs.
+
+The measurement update ``P -= W W^T`` is the whole cost of EKF-SLAM: for n states and k measured components
+it takes n² k multiply-adds if only one triangle is kept. Two layouts, measured in benchmarks/README.md:
+
+* up to ``FULL_LIMIT`` states, both triangles in C order: columns are plain indexing and BLAS call overhead,
+  not arithmetic, decides;
+* above, one Fortran-ordered buffer of which only the lower triangle is valid, updated by BLAS ``dsyrk`` in
+  place. Its leading view is not contiguous and f2py would silently copy it, so BLAS always gets the whole
+  buffer; the unused rows and columns are zero and stay zero.
+
+========  ========================================================
+symbol    meaning
+========  ========================================================
+P         joint covariance (n, n): pose tangent first, then landmarks
+A         derivative of the pose's new error by its old one, (p, p)
+G         derivative of new states by the pose, (a, p)
+W         square root of the downdate, (n, k)
+========  ========================================================
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+FULL_LIMIT = 256
+"""Most states for which both triangles are kept."""
+
+
+class JointCovariance:
+    """P of a pose (first) and a growing map.
+
+    Args:
+        P: covariance of the pose, (p, p).
+    """
+
+    def __init__(self, P: FloatArray) -> None:
+        self._p = P.shape[0]
+        self._n = self._p
+        self._full = True
+        self._buffer = np.array(P, dtype=np.float64, order="C")
+        self._scratch = np.empty_like(self._buffer)
+
+    @property
+    def size(self) -> int:
+        """n, the number of states."""
+        n: int = self._n
+        return n
+
+    def pose_block(self) -> FloatArray:
+        """(p, p), a copy."""
+        p = self._p
+        block = self._buffer[:p, :p].copy()
+        return block if self._full else _mirrored(block)
+
+    def dense(self) -> FloatArray:
+        """P as an ordinary symmetric matrix (n, n), a copy."""
+        P = self._buffer[: self._n, : self._n]
+        return P.copy() if self._full else _mirrored(P)
+
+    def diagonal_blocks(self, size: int) -> FloatArray:
+        """The landmarks' own blocks, (L, size, size), a copy."""
+        starts = np.arange(self._p, self._n, size)
+        blocks = np.empty((starts.size, size, size))
+        for i in range(size):
+            for j in range(i + 1):
+                blocks[:, i, j] = blocks[:, j, i] = self._buffer[starts + i, starts + j]
+        return blocks
+
+    def columns(self, states: IntArray, size: int) -> FloatArray:
+        """Columns of P, (n, c), for ``states`` (c,): the pose's, then those of whole landmarks."""
+        n, p = self._n, self._p
+        P = self._buffer
+        if self._full:
+            # Rows of a symmetric C-ordered matrix are its columns, and contiguous.
+            return P[states].T
+        columns = np.empty((n, states.size), order="F")
+        columns[:, :p] = P[:n, :p]
+        columns[:p, :p] = _mirrored(P[:p, :p])
+        to = p
+        for start in states[p::size].tolist():
+            columns[:start, to : to + size] = P[start : start + size, :start].T
+            columns[start:n, to : to + size] = P[start:n, start : start + size]
+            for i in range(1, size):
+                columns[start : start + i, to + i] = P[start + i, start : start + i]
+            to += size
+        return columns
+
+    def propagate(self, A: FloatArray, Q: FloatArray) -> None:
+        """Move the pose: P_xx = A P_xx A^T + Q, P_mx = P_mx A^T."""
+        n, p = self._n, self._p
+        P = self._buffer
+        if self._full:
+            rows = A @ P[:p]
+            P_xx = rows[:, :p] @ A.T
+            P[:p] = rows
+            P[:, :p] = rows.T
+        else:
+            P_xx = A @ self.pose_block() @ A.T
+            P[p:n, :p] = P[p:n, :p] @ A.T
+        P_xx += Q
+        P[:p, :p] = 0.5 * (P_xx + P_xx.T)
+
+    def augment(self, G: FloatArray, N: FloatArray) -> None:
+        """Add states s = G xi + noise of covariance N (a, a), uncorrelated with all else."""
+        n, p, a = self._n, self._p, G.shape[0]
+        self._reserve(n + a)
+        P = self._buffer
+        # The pose's rows against all states: its own block, then the map's columns transposed.
+        pose_rows = np.concatenate([self.pose_block(), P[p:n, :p].T], axis=1)
+        new_rows = G @ pose_rows
+        corner = new_rows[:, :p] @ G.T + N
+        P[n : n + a, :n] = new_rows
+        P[n : n + a, n : n + a] = 0.5 * (corner + corner.T)
+        if self._full:
+            P[:n, n : n + a] = new_rows.T
+        self._n = n + a
+
+    def downdate(self, W_t: FloatArray) -> None:
+        """``P -= W W^T`` from W^T (k, n)."""
+        n = self._n
+        if self._full:
+            # numpy turns a product with its own transpose into syrk and mirrors it: exactly symmetric.
+            np.matmul(W_t.T, W_t, out=self._scratch)
+            self._buffer -= self._scratch
+            return
+        padded = np.zeros((W_t.shape[0], self._buffer.shape[0]), order="F")
+        padded[:, :n] = W_t
+        dsyrk(-1.0, padded, beta=1.0, c=self._buffer, trans=1, lower=1, overwrite_c=1)
+
+    def _reserve(self, size: int) -> None:
+        if size <= self._buffer.shape[0]:
+            return
+        n = self._n
+        stays_full = size <= FULL_LIMIT
+        # Slack costs flops in every dsyrk, reallocation a copy: 1/64 keeps the first near 3 %.
+        capacity = size if stays_full else size + max(16, size // 64)
+        grown = np.zeros((capacity, capacity), order="C" if stays_full else "F")
+        grown[:n, :n] = self._buffer[:n, :n]
+        self._buffer, self._full = grown, stays_full
+        self._scratch = np.empty_like(grown) if stays_full else np.empty((0, 0))
+
+
+def block_diagonal(blocks: FloatArray) -> FloatArray:
+    """(m, a, b) as one (m a, m b) matrix."""
+    m, a, b = blocks.shape
+    matrix = np.zeros(m * a * m * b)
+    matrix[_diagonal_entries(m, a, b)] = blocks.ravel()
+    return matrix.reshape(m * a, m * b)
+
+
+@lru_cache(maxsize=256)
+def _diagonal_entries(m: int, a: int, b: int) -> IntArray:
+    """Flat positions of the blocks' entries; the same few shapes come back every frame."""
+    block, row, column = np.ogrid[:m, :a, :b]
+    return ((block * a + row) * (m * b) + block * b + column).ravel()
+
+
+def _mirrored(lower: FloatArray) -> FloatArray:
+    """A symmetric matrix from its lower triangle."""
+    triangle = np.tril(lower)
+    symmetric: FloatArray = triangle + np.tril(lower, -1).T
+    return symmetric

@@ -1,0 +1,161 @@
+"""EKF-SLAM: after every frame all past poses are marginalised.
+
+The course's three steps, each one method: cost construction (``_construct``: the frame's observations, with
+new landmarks joining the state), one Gauss–Newton step (``_correct``), state propagation (``_predict``:
+moving to the next pose *is* marginalising the previous one).
+
+The pose error is the body tangent, ``T = T_hat exp(xi)``; landmarks are in the world. All Jacobians of a
+frame are taken at the predicted mean, and all its observations enter in one stacked update, which makes
+this filter the same as a factor graph of window 1 with one Gauss–Newton iteration (tests/oracles).
+
+========  ===================================================================
+symbol    meaning (Thrun, Burgard, Fox 2005, ch. 10; Solà 2018 for the tangent)
+========  ===================================================================
+x         mean: T_world_body (n+1, n+1) and landmarks (L, n)
+P         joint covariance, pose tangent first
+A         Ad(T_prev_body^-1): carries the pose error over an odometry increment
+z, y      measurement and innovation, stacked (k d,)
+H, R, S   stacked Jacobian, measurement noise, innovation covariance
+W         P H^T L^-T with S = L L^T, so that K S K^T = W W^T
+G, N      new landmarks' derivative by the pose, and their own noise
+========  ===================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from slamcmp.backends.covariance import JointCovariance, block_diagonal
+from slamcmp.errors import DivergedError
+from slamcmp.geometry import adjoint_of_inverse, exp
+from slamcmp.registry import back_ends
+from slamcmp.types import Estimate, Frame, Landmarks, Problem
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@back_ends.register("ekf_slam")
+class EkfSlam:
+    """EKF-SLAM with one stacked update per frame.
+
+    Args:
+        problem: prior and sensor (planar or spatial; the sensor must be invertible, d = n).
+        new_landmarks: "join_first" puts new landmarks into the state before the update (the course's cost
+            construction: linearised at the predicted pose); "update_first" corrects the pose with the
+            known landmarks first and initialises the new ones from the corrected pose.
+
+    Raises:
+        DivergedError: an innovation covariance is not positive definite or not finite.
+    """
+
+    def __init__(
+        self, problem: Problem, *, new_landmarks: Literal["join_first", "update_first"] = "join_first"
+    ) -> None:
+        self._sensor = problem.sensor
+        self._n = problem.sensor.space_dim
+        self._pose_states = np.arange(problem.P.shape[0])
+        self._axes = self._pose_states.size + np.arange(self._n)
+        self._join_first = new_landmarks == "join_first"
+        self._T = np.array(problem.T_world_body)
+        self._P = JointCovariance(problem.P)
+        self._landmarks = np.empty((64, self._n))
+        self._number: dict[int, int] = {}
+        self._k = -1
+        self._nis = 0.0
+        self._nis_dof = 0
+
+    def update(self, frame: Frame) -> None:
+        """Predict to the frame's pose, then take in its observations."""
+        self._k = frame.k
+        self._nis, self._nis_dof = 0.0, 0
+        if frame.k > 0:
+            self._predict(frame.T_prev_body, frame.Q)
+        if frame.ids.size == 0:
+            return
+        numbers = [self._number.get(landmark, -1) for landmark in frame.ids.tolist()]
+        if -1 not in numbers:
+            self._correct(np.array(numbers), frame.z, frame.R)
+            return
+        known = np.array(numbers) >= 0
+        new = ~known
+        if self._join_first:
+            self._augment(frame.ids[new], frame.z[new], frame.R[new])
+        if known.any():
+            self._correct(np.array(numbers)[known], frame.z[known], frame.R[known])
+        if not self._join_first:
+            self._augment(frame.ids[new], frame.z[new], frame.R[new])
+
+    def estimate(self) -> Estimate:
+        """The current pose and its covariance."""
+        return Estimate(self._T, self._P.pose_block())
+
+    def landmarks(self) -> Landmarks:
+        """Every landmark ever seen, in the order of first sight."""
+        count = len(self._number)
+        ids = np.fromiter(self._number, dtype=np.int64, count=count)
+        return Landmarks(ids, self._landmarks[:count], self._P.diagonal_blocks(self._n))
+
+    def joint_covariance(self) -> FloatArray:
+        """P of pose and landmarks, (p + n L, p + n L)."""
+        return self._P.dense()
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """NIS of the last frame with its degrees of freedom, and the number of landmarks."""
+        return {
+            "nis": self._nis if self._nis_dof else float("nan"),
+            "nis_dof": self._nis_dof,
+            "landmarks": len(self._number),
+        }
+
+    def _predict(self, T_prev_body: FloatArray, Q: FloatArray) -> None:
+        self._T = self._T @ T_prev_body
+        self._P.propagate(adjoint_of_inverse(T_prev_body), Q)
+
+    def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> None:
+        """New landmarks at their inverse observation, with their correlation to everything known."""
+        n, count = self._n, len(self._number)
+        positions = self._sensor.invert(self._T, z)
+        H_pose, H_land = self._sensor.jacobians(self._T, positions)
+        # 0 = H_pose xi + H_land dl - v, solved for dl: no sensor needs a Jacobian of its inverse.
+        H_inv = np.linalg.inv(H_land)
+        G = -(H_inv @ H_pose).reshape(ids.size * n, -1)
+        N = block_diagonal(H_inv @ R @ np.swapaxes(H_inv, 1, 2))
+        self._P.augment(G, N)
+        if count + ids.size > len(self._landmarks):
+            self._landmarks = np.concatenate([self._landmarks, np.empty((count + ids.size, n))])
+        self._landmarks[count : count + ids.size] = positions
+        for offset, landmark in enumerate(ids.tolist()):
+            self._number[landmark] = count + offset
+
+    def _correct(self, numbers: IntArray, z: FloatArray, R: FloatArray) -> None:
+        """One Gauss–Newton step on prior and observations, in covariance form."""
+        n = self._n
+        seen = self._landmarks[numbers]
+        H_pose, H_land = self._sensor.jacobians(self._T, seen)
+        y = self._sensor.residual(z, self._sensor.predict(self._T, seen)).ravel()
+        p = H_pose.shape[2]
+        # H without its zero columns: pose first, then the landmarks seen, block by block.
+        H = np.concatenate([H_pose.reshape(y.size, p), block_diagonal(H_land)], axis=1)
+        touched = np.concatenate([self._pose_states, (numbers[:, None] * n + self._axes).ravel()])
+        PHt = self._P.columns(touched, n) @ H.T
+        S = H @ PHt[touched] + block_diagonal(R)
+        L, failed = dpotrf(S, lower=1)
+        if failed:
+            raise DivergedError(
+                f"frame {self._k}: the innovation covariance is not positive definite; "
+                "the filter's covariance has lost its sign or holds NaN"
+            )
+        W_t, _ = dtrtrs(L, PHt.T, lower=1, overwrite_b=1)
+        e, _ = dtrtrs(L, y, lower=1)
+        dx = e @ W_t
+        self._P.downdate(W_t)
+        self._T = self._T @ exp(dx[:p])
+        count = len(self._number)
+        self._landmarks[:count] += dx[p:].reshape(count, n)
+        self._nis, self._nis_dof = float(e @ e), y.size
