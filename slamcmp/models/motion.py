@@ -49,7 +49,7 @@ def increment_covariance(model: MotionModel, u: FloatArray, M: FloatArray, dt: f
 class Unicycle:
     """Speed [m/s] and turn rate [rad/s], held over the step: the exact arc ``exp((v, 0, w) dt)``."""
 
-    control_names = ("speed_m_s", "turn_rate_rad_s")
+    control_names: tuple[str, ...] = ("speed_m_s", "turn_rate_rad_s")
 
     def increment(self, u: FloatArray, dt: float) -> FloatArray:
         return exp(self._twist(u, dt))
@@ -67,7 +67,7 @@ class Unicycle:
 class StraightThenTurn:
     """Drive v dt along the old heading, then turn by w dt (the discrete model of most EKF-SLAM papers)."""
 
-    control_names = ("speed_m_s", "turn_rate_rad_s")
+    control_names: tuple[str, ...] = ("speed_m_s", "turn_rate_rad_s")
 
     def increment(self, u: FloatArray, dt: float) -> FloatArray:
         u = np.asarray(u, dtype=np.float64)
@@ -92,7 +92,7 @@ class Bicycle:
         DataError: the wheelbase is not positive.
     """
 
-    control_names = ("speed_m_s", "steering_rad")
+    control_names: tuple[str, ...] = ("speed_m_s", "steering_rad")
 
     def __init__(self, *, wheelbase_m: float) -> None:
         if not wheelbase_m > 0:
@@ -125,7 +125,7 @@ class WheelEncoders:
         DataError: the track width is not positive.
     """
 
-    control_names = ("left_m", "right_m")
+    control_names: tuple[str, ...] = ("left_m", "right_m")
 
     def __init__(self, *, track_width_m: float) -> None:
         if not track_width_m > 0:
