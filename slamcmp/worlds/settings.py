@@ -1,0 +1,80 @@
+"""What every planar landmark world can be told, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Interval
+
+from slamcmp.errors import UsageError
+
+Positive = Annotated[float, Gt(0)]
+NotNegative = Annotated[float, Ge(0)]
+
+SensorName = Literal["range_bearing", "relative_position"]
+OdometryName = Literal["unicycle", "straight_then_turn", "bicycle", "encoders"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Parameters shared by all planar worlds; sigmas are standard deviations.
+
+    Raises:
+        UsageError: two values contradict each other.
+    """
+
+    steps: Annotated[int, Ge(2)] = 300
+    """Frames, the first one included."""
+    time_step_s: Positive = 1.0
+    landmarks: Annotated[int, Ge(1)] = 40
+    speed_m_s: Positive = 1.0
+    turn_deg_s: Positive = 6.0
+    """Turn rate in bends: with the speed it sets their radius."""
+
+    sensor: SensorName = "range_bearing"
+    range_sigma_m: Positive = 0.1
+    bearing_sigma_deg: Positive = 1.0
+    position_sigma_m: Positive = 0.1
+    """Per axis, for the sensor ``relative_position``."""
+    range_min_m: Positive = 0.5
+    """Nearer landmarks are not seen: a bearing at centimetres defeats any linearisation."""
+    range_max_m: Positive = 8.0
+    field_of_view_deg: Annotated[float, Interval(gt=0, le=360)] = 360.0
+    """Full angle, centred on the direction of travel."""
+    outlier_fraction: Annotated[float, Interval(ge=0, le=1)] = 0.0
+    """Share of the detections that are replaced by a uniform draw from the field of view."""
+
+    odometry: OdometryName = "unicycle"
+    speed_sigma_m_s: NotNegative = 0.03
+    turn_sigma_deg_s: NotNegative = 0.5
+    """For ``unicycle`` and ``straight_then_turn``; 0 gives a known heading."""
+    lateral_sigma_m: NotNegative = 0.005
+    """Side slip a step; keeps Q positive definite, which factor graphs need."""
+    steering_sigma_deg: NotNegative = 0.5
+    """For ``bicycle``."""
+    wheelbase_m: Positive = 2.0
+    """For ``bicycle``."""
+    wheel_sigma_m: NotNegative = 0.01
+    """Of the distance one wheel rolls in a step, for ``encoders``."""
+    track_width_m: Positive = 0.5
+    """For ``encoders``."""
+
+    prior_position_sigma_m: NotNegative = 1e-6
+    prior_heading_sigma_rad: NotNegative = 1e-6
+    noise_scale: Positive = 1.0
+    """Multiplies every sigma above, the prior's too: the way to study noise going to 0."""
+    resolution: NotNegative = 1e-9
+    """What the sensors' numbers are rounded to, so that two machines' last bits agree; 0 keeps all bits."""
+
+    def __post_init__(self) -> None:
+        if self.range_max_m <= self.range_min_m:
+            raise UsageError(
+                f"range_max_m is {self.range_max_m} and range_min_m {self.range_min_m}: "
+                "the largest range must be above the smallest"
+            )
+        if self.range_min_m <= 0 or self.noise_scale <= 0 or self.steps < 2 or self.landmarks < 1:
+            raise UsageError(
+                "range_min_m and noise_scale must be positive, steps at least 2, landmarks at least 1; "
+                f"given {self.range_min_m}, {self.noise_scale}, {self.steps}, {self.landmarks}"
+            )

@@ -1,0 +1,170 @@
+"""One simulator for every planar world: true controls and landmarks in, a log with its truth out.
+
+Noise is drawn for every frame and every landmark, seen or not, and scaled afterwards: changing a sigma, a
+range or one kind of noise leaves every other draw as it was.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.errors import UsageError
+from slamcmp.geometry import dead_reckoning, exp, se2_coordinates, wrap
+from slamcmp.models.motion import Bicycle, MotionModel, StraightThenTurn, Unicycle, WheelEncoders
+from slamcmp.models.sensors import make_sensor
+from slamcmp.protocols import SensorModel
+from slamcmp.randomness import RandomStreams
+from slamcmp.types import BoolArray, Detections, GroundTruth, Log, Problem
+from slamcmp.worlds.settings import Settings
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class World:
+    """What a planar world decides: the true motion and where the landmarks stand."""
+
+    controls: FloatArray
+    """(K-1, 2): speed [m/s] and turn rate [rad/s] of each step."""
+    landmarks: FloatArray
+    """(L, 2) [m]; the robot starts at the origin, looking along x."""
+
+
+def simulate(name: str, world: World, settings: Settings, streams: RandomStreams) -> Log:
+    """Drive through ``world`` and record noisy odometry and detections, with the truth beside them.
+
+    Detections of a frame are sorted by landmark id. ``truth.outliers`` marks the replaced detections.
+
+    Raises:
+        UsageError: the controls are not possible for the chosen vehicle.
+    """
+    prior_noise, step_noise = streams.odometry.spawn(2)
+    vehicle = _Vehicle(settings)
+    truth_controls = vehicle.controls(world.controls)
+    dt = settings.time_step_s
+    true_increments = np.concatenate([np.eye(3)[None], vehicle.model.increment(truth_controls, dt)])
+    poses = dead_reckoning(np.eye(3), true_increments)
+
+    increments, Q = _odometry(vehicle, truth_controls, settings, step_noise)
+    sensor = make_sensor(settings.sensor, {"space_dim": 2} if settings.sensor == "relative_position" else {})
+    t: FloatArray = np.arange(settings.steps, dtype=np.float64) * dt
+    detections, outliers = _detect(sensor, poses, world.landmarks, settings, streams)
+
+    sigmas = settings.noise_scale * np.array(
+        [settings.prior_position_sigma_m] * 2 + [settings.prior_heading_sigma_rad]
+    )
+    prior = exp(-sigmas * prior_noise.standard_normal(3))
+    return Log(
+        name=name,
+        problem=Problem(prior, np.diag(sigmas**2), sensor),
+        t=t,
+        T_prev_body=increments,
+        Q=Q,
+        detections=tuple(detections),
+        truth=GroundTruth(t, poses, np.arange(len(world.landmarks)), world.landmarks, tuple(outliers)),
+    )
+
+
+class _Vehicle:
+    """The chosen motion model, with its controls and their standard deviations."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        turn = math.radians(settings.turn_sigma_deg_s)
+        self.model: MotionModel
+        if settings.odometry == "bicycle":
+            self.model = Bicycle(wheelbase_m=settings.wheelbase_m)
+            sigmas = settings.speed_sigma_m_s, math.radians(settings.steering_sigma_deg)
+        elif settings.odometry == "encoders":
+            self.model = WheelEncoders(track_width_m=settings.track_width_m)
+            sigmas = settings.wheel_sigma_m, settings.wheel_sigma_m
+        elif settings.odometry == "unicycle":
+            self.model = Unicycle()
+            sigmas = settings.speed_sigma_m_s, turn
+        elif settings.odometry == "straight_then_turn":
+            self.model = StraightThenTurn()
+            sigmas = settings.speed_sigma_m_s, turn
+        else:
+            raise UsageError(
+                f"odometry is {settings.odometry!r}; "
+                "unicycle, straight_then_turn, bicycle or encoders is needed"
+            )
+        self.sigmas = settings.noise_scale * np.array(sigmas)
+
+    def controls(self, speed_and_turn: FloatArray) -> FloatArray:
+        """The model's own controls (K-1, 2) for speed [m/s] and turn rate [rad/s]."""
+        speed, turn = speed_and_turn[:, 0], speed_and_turn[:, 1]
+        if self._settings.odometry == "bicycle":
+            return np.stack([speed, np.arctan(turn * self._settings.wheelbase_m / speed)], axis=-1)
+        if self._settings.odometry == "encoders":
+            dt, half = self._settings.time_step_s, 0.5 * self._settings.track_width_m
+            return np.stack([(speed - turn * half) * dt, (speed + turn * half) * dt], axis=-1)
+        return speed_and_turn
+
+
+def _odometry(
+    vehicle: _Vehicle, true_controls: FloatArray, settings: Settings, generator: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Noisy increments (K, 3, 3) and their covariances (K, 3, 3) in the body tangent."""
+    steps = len(true_controls)
+    draws = generator.standard_normal((steps, 3))
+    lateral = settings.noise_scale * settings.lateral_sigma_m
+    measured = true_controls + vehicle.sigmas * draws[:, :2]
+    slip = np.zeros((steps, 3))
+    slip[:, 1] = lateral * draws[:, 2]
+    noisy = vehicle.model.increment(measured, settings.time_step_s) @ exp(slip)
+    jacobian = _rounded(vehicle.model.jacobian(measured, settings.time_step_s), settings.resolution)
+    increments, Q = np.tile(np.eye(3), (steps + 1, 1, 1)), np.zeros((steps + 1, 3, 3))
+    # Sums of products, one by one, give the same bits on every machine; a matrix product does not.
+    for sigma, column in zip(vehicle.sigmas, np.moveaxis(jacobian, -1, 0), strict=True):
+        Q[1:] += sigma**2 * (column[:, :, None] * column[:, None, :])
+    Q[1:, 1, 1] += lateral**2
+    for k, (x, y, theta) in enumerate(_rounded(se2_coordinates(noisy), settings.resolution), start=1):
+        # math.cos comes from the platform's libm; numpy's own depends on the processor's vector width.
+        cos, sin = math.cos(theta), math.sin(theta)
+        increments[k] = [[cos, -sin, x], [sin, cos, y], [0.0, 0.0, 1.0]]
+    return increments, Q
+
+
+def _detect(
+    sensor: SensorModel, poses: FloatArray, landmarks: FloatArray, settings: Settings, streams: RandomStreams
+) -> tuple[list[Detections], list[BoolArray]]:
+    """Detections of every frame, and which of them are outliers."""
+    polar = make_sensor("range_bearing", {})
+    is_polar = settings.sensor == "range_bearing"
+    half_view = math.radians(settings.field_of_view_deg) / 2
+    if is_polar:
+        sigmas = np.array([settings.range_sigma_m, math.radians(settings.bearing_sigma_deg)])
+    else:
+        sigmas = np.array([settings.position_sigma_m] * 2)
+    sigmas = settings.noise_scale * sigmas
+    R = np.diag(sigmas**2)
+    low = np.array([settings.range_min_m, -half_view])
+    high = np.array([settings.range_max_m, half_view])
+    detections, masks = [], []
+    for T in poses:
+        noise = streams.sensor.standard_normal(landmarks.shape)
+        luck = streams.outliers.random((len(landmarks), 3))
+        geometry = polar.predict(T, landmarks)
+        seen = (geometry >= low).all(axis=1) & (geometry <= high).all(axis=1)
+        z = sensor.predict(T, landmarks) + sigmas * noise
+        wild = luck[:, 0] < settings.outlier_fraction
+        false = low + (high - low) * luck[:, 1:]
+        z[wild] = false[wild] if is_polar else polar.invert(np.eye(3), false[wild])
+        z = _rounded(z, settings.resolution)
+        if is_polar:
+            z[:, 1] = wrap(z[:, 1])
+            # A sensor cannot report a range below zero; noise may ask for one very close by.
+            seen &= z[:, 0] > 0
+        ids = np.flatnonzero(seen)
+        detections.append(Detections(z[ids], np.tile(R, (ids.size, 1, 1)), ids))
+        masks.append(wild[ids])
+    return detections, masks
+
+
+def _rounded(values: FloatArray, resolution: float) -> FloatArray:
+    return values if resolution == 0 else np.round(values / resolution) * resolution
