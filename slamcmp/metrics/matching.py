@@ -1,0 +1,72 @@
+"""Pair a trajectory with the truth frame by frame, and the errors between the two."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.errors import DataError
+from slamcmp.geometry import local, rotation, so3_log, wrap
+from slamcmp.types import GroundTruth, Landmarks, Trajectory
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def matched_poses(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArray, FloatArray]:
+    """Estimated and true poses of the finished frames, both (K, n+1, n+1).
+
+    A trajectory that ended early is paired with the truth's first frames.
+
+    Raises:
+        DataError: the time stamps or the dimensions of the two differ.
+    """
+    frames = trajectory.t.size
+    if frames > truth.t.size or not np.allclose(trajectory.t, truth.t[:frames], rtol=0.0, atol=1e-9):
+        raise DataError(
+            f"trajectory of {frames} frames and truth of {truth.t.size} frames do not share their time "
+            "stamps; both must come from the same log"
+        )
+    if trajectory.T_world_body.shape[1:] != truth.T_world_body.shape[1:]:
+        raise DataError(
+            f"trajectory poses {trajectory.T_world_body.shape[1:]} and true poses "
+            f"{truth.T_world_body.shape[1:]} are not of the same space"
+        )
+    return trajectory.T_world_body, truth.T_world_body[:frames]
+
+
+def pose_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
+    """``log(T_hat⁻¹ T_true)`` in the body tangent, (K, p)."""
+    estimated, true = matched_poses(trajectory, truth)
+    return local(estimated, true)
+
+
+def rotation_angle(R: FloatArray) -> FloatArray:
+    """Angles [rad] in [0, pi] of rotation matrices (..., n, n)."""
+    if R.shape[-1] == 2:
+        planar: FloatArray = np.abs(wrap(np.arctan2(R[..., 1, 0], R[..., 0, 0])))
+        return planar
+    spatial: FloatArray = np.linalg.norm(so3_log(R), axis=-1)
+    return spatial
+
+
+def heading_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
+    """Angle [rad] between estimated and true orientation, (K,); in SE(3) of the whole rotation."""
+    estimated, true = matched_poses(trajectory, truth)
+    return rotation_angle(np.swapaxes(rotation(estimated), -1, -2) @ rotation(true))
+
+
+def matched_landmarks(landmarks: Landmarks, truth: GroundTruth) -> tuple[IntArray, IntArray]:
+    """Indices into the map and into the truth of the landmarks that both hold, each (M,)."""
+    _, in_map, in_truth = np.intersect1d(landmarks.ids, truth.ids, assume_unique=True, return_indices=True)
+    return in_map, in_truth
+
+
+def translation_part(p: int) -> slice:
+    """Where the translation stands in a tangent vector of dimension p (3 or 6)."""
+    return slice(0, 2) if p == 3 else slice(3, 6)
+
+
+def rotation_part(p: int) -> slice:
+    """Where the rotation stands in a tangent vector of dimension p (3 or 6)."""
+    return slice(2, 3) if p == 3 else slice(0, 3)
