@@ -132,8 +132,8 @@ def main() -> None:
         if np.isfinite(row["ratio"]):
             target = "" if row["target"] is None else f"{row['target']:.2f}"
             print(
-                f"{row['landmarks']:5d}  {row['against']:8} {row['ekf_us']:7.0f} µs {row['yardstick_us']:7.0f} µs "
-                f"{row['ratio']:7.3f} {target:>7}"
+                f"{row['landmarks']:5d}  {row['against']:8} {row['ekf_us']:7.0f} µs "
+                f"{row['yardstick_us']:7.0f} µs {row['ratio']:7.3f} {target:>7}"
             )
 
 

@@ -1,7 +1,8 @@
 """The yardstick of ``ekf.py``: EKF-SLAM as most teaching code writes it.
 
 One update per observation, each with a dense H over the whole state and the textbook covariance
-``(I - K H) P``, multiplied out so that it costs n² and not n³. Planar, range-bearing, known association, world-additive pose error.
+``(I - K H) P``, multiplied out so that it costs n² and not n³. Planar, range-bearing, known association,
+world-additive pose error.
 """
 
 from __future__ import annotations

@@ -160,7 +160,8 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
 def _diagonal_entries(m: int, a: int, b: int) -> IntArray:
     """Flat positions of the blocks' entries; the same few shapes come back every frame."""
     block, row, column = np.ogrid[:m, :a, :b]
-    return ((block * a + row) * (m * b) + block * b + column).ravel()
+    entries: IntArray = ((block * a + row) * (m * b) + block * b + column).ravel()
+    return entries
 
 
 def _mirrored(lower: FloatArray) -> FloatArray:

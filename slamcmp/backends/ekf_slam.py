@@ -23,6 +23,7 @@ G, N      new landmarks' derivative by the pose, and their own noise
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
@@ -146,16 +147,18 @@ class EkfSlam:
         PHt = self._P.columns(touched, n) @ H.T
         S = H @ PHt[touched] + block_diagonal(R)
         L, failed = dpotrf(S, lower=1)
-        if failed:
-            raise DivergedError(
-                f"frame {self._k}: the innovation covariance is not positive definite; "
-                "the filter's covariance has lost its sign or holds NaN"
-            )
         W_t, _ = dtrtrs(L, PHt.T, lower=1, overwrite_b=1)
         e, _ = dtrtrs(L, y, lower=1)
+        nis = float(e @ e)
+        # dpotrf lets NaN through; it always reaches the NIS.
+        if failed or not math.isfinite(nis):
+            raise DivergedError(
+                f"frame {self._k}: the innovation covariance is not positive definite, or the innovation "
+                "not finite; the filter has lost its covariance, or a measurement is spoilt"
+            )
         dx = e @ W_t
         self._P.downdate(W_t)
         self._T = self._T @ exp(dx[:p])
         count = len(self._number)
         self._landmarks[:count] += dx[p:].reshape(count, n)
-        self._nis, self._nis_dof = float(e @ e), y.size
+        self._nis, self._nis_dof = nis, y.size
