@@ -1,0 +1,162 @@
+"""Names for results by what they were computed from: equal key, equal result.
+
+A key covers the normalised configuration of one job, the source text of every module that computes it
+(followed through imports, so that changing one back end leaves the others' results valid), the data files
+it reads and the versions of the libraries below.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from slamcmp.errors import MissingDataError
+from slamcmp.experiment.config import Choice
+from slamcmp.experiment.plugin_models import bind_parameters
+from slamcmp.registry import Plugin
+
+PACKAGE = Path(__file__).resolve().parent.parent
+LIBRARIES = ("numpy", "scipy", "gtsam", "opencv-python-headless")
+KEY_LENGTH = 24
+
+
+def stream_key(source: Choice, front_end: Choice, seed: int | None) -> str:
+    """Of the stream that a source and a front end make from a seed."""
+    source_plugin, front_end_plugin = source.plugin(), front_end.plugin()
+    return _hash(
+        {
+            "source": [source.name, dict(source.parameters)],
+            "front_end": [front_end.name, dict(front_end.parameters)],
+            "seed": seed,
+            "data": data_digests(source),
+            "code": code_version(_files(source_plugin) | _files(front_end_plugin) | {PACKAGE / "types.py"}),
+            "versions": versions(),
+        }
+    )
+
+
+def run_key(stream: str, back_end: Choice, time_limit_s: float, memory_limit_mb: float | None) -> str:
+    """Of a back end's run, with its scores, on the stream of that key."""
+    runner = Path(__file__).with_name("worker.py")
+    computing = {
+        runner,
+        *sorted((PACKAGE / "metrics").glob("*.py")),
+        *sorted((PACKAGE / "models").glob("*.py")),
+    }
+    return _hash(
+        {
+            "stream": stream,
+            "back_end": [back_end.name, dict(back_end.parameters)],
+            "limits": [time_limit_s, memory_limit_mb],
+            "code": code_version(_files(back_end.plugin()) | computing),
+            "versions": versions(),
+        }
+    )
+
+
+def versions() -> dict[str, str]:
+    """Of Python (major.minor) and of the libraries that compute."""
+    found = {"python": ".".join(map(str, sys.version_info[:2]))}
+    for name in LIBRARIES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = "absent"
+    return found
+
+
+def data_digests(source: Choice) -> dict[str, str]:
+    """sha256 of each data file the source says it reads, by file name.
+
+    Raises:
+        MissingDataError: one of them is not there.
+    """
+    plugin = source.plugin()
+    files = plugin.traits.get("files")
+    if files is None:
+        return {}
+    paths: Iterable[Path] = files(**bind_parameters(plugin, dict(source.parameters)))
+    digests = {}
+    for path in map(Path, paths):
+        if not path.is_file():
+            raise MissingDataError(f"source {source.name!r}: there is no data file {path}")
+        digests[path.name] = _file_digest(str(path), *_stamp(path))
+    return digests
+
+
+def code_version(files: Iterable[Path]) -> str:
+    """sha256 over the text of ``files`` and of every module of ours that they import."""
+    hasher = hashlib.sha256()
+    for path in sorted(import_closure(files)):
+        hasher.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return hasher.hexdigest()
+
+
+def import_closure(files: Iterable[Path]) -> set[Path]:
+    """``files`` and what they import from this package or from their own folder, and so on."""
+    reached: set[Path] = set()
+    waiting = [path.resolve() for path in files]
+    while waiting:
+        path = waiting.pop()
+        if path not in reached:
+            reached.add(path)
+            waiting.extend(_imported(str(path), *_stamp(path)))
+    return reached
+
+
+@cache
+def _imported(path_text: str, _modified: int, _size: int) -> tuple[Path, ...]:
+    path = Path(path_text)
+    found: set[Path] = set()
+    for module in _module_names(ast.parse(path.read_bytes()), path):
+        parts = module.split(".")
+        root = PACKAGE.parent if parts[0] == PACKAGE.name else path.parent
+        for length in range(1, len(parts) + 1):
+            stem = root.joinpath(*parts[:length])
+            found.update(file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file())
+    return tuple(sorted(file.resolve() for file in found))
+
+
+def _module_names(tree: ast.AST, path: Path) -> Iterator[str]:
+    """Every dotted name that might be a module: of ``from a import b`` both a and a.b."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level and path.is_relative_to(PACKAGE):
+                package = path.relative_to(PACKAGE.parent).with_suffix("").parts[: -node.level]
+                base = ".".join([*package, base]).rstrip(".")
+            yield from (f"{base}.{alias.name}".lstrip(".") for alias in node.names if alias.name != "*")
+            if base:
+                yield base
+
+
+def _files(plugin: Plugin) -> set[Path]:
+    module = sys.modules[plugin.target.__module__]
+    return {Path(module.__file__)} if module.__file__ else set()
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    status = os.stat(path)
+    return status.st_mtime_ns, status.st_size
+
+
+@cache
+def _file_digest(path: str, _modified: int, _size: int) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _hash(content: dict[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]

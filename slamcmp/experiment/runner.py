@@ -1,0 +1,325 @@
+"""Run an experiment: every trial's stream, every back end on it, then the tables."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import slamcmp.errors
+from slamcmp.errors import SlamcmpError
+from slamcmp.experiment.atomic import StorageError
+from slamcmp.experiment.config import Experiment, load_experiment
+from slamcmp.experiment.content_key import versions
+from slamcmp.experiment.executors import Ended, Executor
+from slamcmp.experiment.manifest import describe_origin, now
+from slamcmp.experiment.memory import machine_memory_mb
+from slamcmp.experiment.progress import Watcher, watching
+from slamcmp.experiment.run_file import StoredRun, load_truth, run_status, save_run
+from slamcmp.experiment.store import Results, locked, save_results
+from slamcmp.experiment.tables import gather
+from slamcmp.experiment.trials import RunJob, StreamJob, Trial, make_trials
+from slamcmp.experiment.worker import Task, run_path, stream_path, truth_path
+from slamcmp.metrics import score_run
+from slamcmp.registry import executors
+from slamcmp.types import Run, Trajectory
+
+LOOK_EVERY_S = 0.1
+MEMORY_SHARE = 0.9
+"""Of the machine's memory that all workers together may take, where the experiment sets no limit."""
+
+
+class Interrupted(SlamcmpError):
+    """Ctrl-C: what was done is in the tables, the rest runs when the experiment is started again."""
+
+    exit_code = 130
+
+    def __init__(self, results: Results) -> None:
+        missing = results.manifest["jobs_missing"]
+        super().__init__(
+            f"interrupted: {missing} jobs are left; finished ones are in {results.folder}; "
+            "the same command goes on from there"
+        )
+        self.results = results
+
+
+@dataclass
+class Plan:
+    """What an experiment would do: its trials, and which jobs have no result yet."""
+
+    trials: list[Trial]
+    streams: dict[str, StreamJob] = field(default_factory=dict)
+    """To be made, by key."""
+    runs: dict[str, RunJob] = field(default_factory=dict)
+    """To be run, by key."""
+    reused: int = 0
+    """Runs whose results are there."""
+
+
+def plan_experiment(experiment: Experiment, folder: Path, *, rerun_failed: bool = False) -> Plan:
+    """Find out what is left to do, without doing it."""
+    plan = Plan(make_trials(experiment))
+    seen: set[str] = set()
+    for trial in plan.trials:
+        waiting = False
+        for job in trial.runs:
+            if job.key in seen:
+                waiting = waiting or job.key in plan.runs
+                continue
+            seen.add(job.key)
+            status = run_status(run_path(folder, job.key))
+            if status is None or (rerun_failed and status != "ok"):
+                plan.runs[job.key] = job
+                waiting = True
+            else:
+                plan.reused += 1
+        known = load_truth(truth_path(folder, trial.stream.key))
+        gone = known is None or known.error is not None
+        if gone or (waiting and known is not None and not stream_path(folder, known.digest).is_file()):
+            plan.streams[trial.stream.key] = trial.stream
+    return plan
+
+
+def run_experiment(
+    experiment: Experiment | Path | str,
+    *,
+    folder: Path | str | None = None,
+    jobs: int | None = None,
+    rerun_failed: bool = False,
+    seeds: Sequence[int] | None = None,
+    executor: str = "processes",
+    progress: bool = False,
+    command: str = "",
+) -> Results:
+    """Run what has no result yet, and gather all results into tables in ``folder``.
+
+    Args:
+        experiment: a checked experiment, or the path of its YAML file.
+        folder: where results go; default ``results/NAME``.
+        jobs: how many jobs run at a time; default: one for each core.
+        rerun_failed: also run again what did not end well.
+        seeds: in place of the experiment's own.
+        executor: registered name of where jobs run.
+        progress: show progress on standard error.
+        command: for the manifest.
+
+    Returns:
+        The tables and the manifest, as they were saved.
+
+    Raises:
+        UsageError: the configuration cannot be used, or another run writes to the same folder.
+        MissingDataError: a file the experiment needs is not there.
+        StorageError: a result cannot be written.
+        Interrupted: Ctrl-C; what was done is saved.
+    """
+    if not isinstance(experiment, Experiment):
+        experiment = load_experiment(experiment)
+    if seeds is not None:
+        experiment = experiment.with_seeds(seeds)
+    folder = Path("results") / experiment.name if folder is None else Path(folder)
+    folder = folder.resolve()
+    begin = time.monotonic()
+    manifest = describe_origin(experiment, command)
+    slots = jobs or available_cores()
+    workers: Executor = executors.get(executor).target(slots=slots)
+    with locked(folder):
+        plan = plan_experiment(experiment, folder, rerun_failed=rerun_failed)
+        todo = len(plan.runs) + len(plan.streams)
+        interrupted = False
+        with watching(todo, show=progress) as watcher:
+            schedule = _Schedule(plan, folder, workers, watcher, experiment)
+            try:
+                schedule.run_all()
+            except KeyboardInterrupt:
+                interrupted = True
+            except StorageError:
+                # The tables would meet the same full disk; the runs that were written are kept as they are.
+                workers.close()
+                raise
+            finally:
+                workers.close()
+        tables = gather(plan.trials, folder, experiment.reference, schedule.stream_faults)
+        manifest |= {
+            "finished": now(),
+            "wall_s": time.monotonic() - begin,
+            "jobs": workers.slots,
+            "jobs_run": schedule.done,
+            "jobs_reused": plan.reused,
+            "jobs_missing": todo - schedule.done,
+            "front_end_totals": _front_end_totals(plan.trials, folder),
+        }
+        results = Results(folder, manifest, *tables)
+        save_results(results)
+    if schedule.fatal is not None:
+        raise schedule.fatal
+    if interrupted:
+        raise Interrupted(results)
+    return results
+
+
+def available_cores() -> int:
+    """Cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class _Schedule:
+    """Keeps the workers busy: a stream first, then the back ends that wait for it."""
+
+    def __init__(
+        self, plan: Plan, folder: Path, workers: Executor, watcher: Watcher, experiment: Experiment
+    ) -> None:
+        self._folder, self._workers, self._watcher = folder, workers, watcher
+        self._several_trials = len(plan.trials) > 1
+        share = machine_memory_mb() * MEMORY_SHARE / workers.slots
+        self._memory_limit_mb = experiment.memory_limit_mb or share
+        self.stream_faults: dict[str, str] = {}
+        self.fatal: SlamcmpError | None = None
+        self.done = 0
+        self._frames: dict[str, tuple[str, int]] = {}
+        self._names: dict[str, str] = {}
+        self._waiting: dict[str, list[RunJob]] = {}
+        self._ready: deque[StreamJob | RunJob] = deque(plan.streams.values())
+        for trial in plan.trials:
+            self._names.setdefault(trial.stream.key, f"stream{self._suffix(trial)}")
+            for job in trial.runs:
+                self._names.setdefault(job.key, f"{job.back_end.label}{self._suffix(trial)}")
+        for job in plan.runs.values():
+            if job.stream_key in plan.streams:
+                self._waiting.setdefault(job.stream_key, []).append(job)
+            else:
+                self._ready.append(job)
+        for key in {job.stream_key for job in plan.runs.values()} - set(plan.streams):
+            self._remember_stream(key)
+
+    def run_all(self) -> None:
+        running = 0
+        while (self._ready and self.fatal is None) or running:
+            while self._ready and running < self._workers.slots and self.fatal is None:
+                self._start(self._ready.popleft())
+                running += 1
+            for ended in self._workers.wait(LOOK_EVERY_S):
+                running -= 1
+                self._finish(ended)
+            self._watcher.advanced(self._workers.frames_done())
+
+    def _suffix(self, trial: Trial) -> str:
+        if not self._several_trials:
+            return ""
+        swept = [f"{path.rpartition('.')[2]}={value}" for path, value in trial.swept.items()]
+        seed = [] if trial.seed is None else [f"seed {trial.seed}"]
+        return f" ({', '.join([*swept, *seed])})"
+
+    def _start(self, job: StreamJob | RunJob) -> None:
+        if isinstance(job, StreamJob):
+            plugins = tuple((each.spec, dict(each.parameters)) for each in (job.source, job.front_end))
+            task, frames = Task("stream", job.key, self._folder, plugins, job.seed), 0
+        else:
+            digest, frames = self._frames[job.stream_key]
+            task = Task(
+                "run",
+                job.key,
+                self._folder,
+                ((job.back_end.spec, dict(job.back_end.parameters)),),
+                job.seed,
+                label=job.back_end.label,
+                stream_key=job.stream_key,
+                digest=digest,
+                time_limit_s=job.time_limit_s,
+                memory_limit_mb=self._memory_limit_mb,
+            )
+        task.result.unlink(missing_ok=True)
+        self._watcher.started(task.key, self._names[task.key], frames)
+        self._workers.start(task)
+
+    def _finish(self, ended: Ended) -> None:
+        task = ended.task
+        if ended.storage_failed:
+            raise self._storage_failure(task)
+        if task.kind == "stream":
+            outcome = self._finish_stream(ended)
+        else:
+            if ended.fault:
+                self._store_failure(ended)
+            outcome = run_status(task.result) or "lost"
+        self.done += 1
+        self._watcher.ended(task.key, outcome, ended.frames_done)
+
+    def _finish_stream(self, ended: Ended) -> str:
+        key = ended.task.key
+        waiting = self._waiting.pop(key, [])
+        known = None if ended.fault else load_truth(ended.task.result)
+        if known is not None and known.error is None:
+            self._remember_stream(key)
+            # Before further streams: so few streams wait unread, and results appear early.
+            self._ready.extendleft(reversed(waiting))
+            return "ok"
+        kind, message = known.error if known is not None and known.error is not None else ("", ended.fault)
+        ended.task.result.unlink(missing_ok=True)
+        self.stream_faults[key] = message
+        self.done += len(waiting)
+        error_class = getattr(slamcmp.errors, kind, None)
+        if isinstance(error_class, type) and issubclass(error_class, SlamcmpError):
+            # What the user wrote or what lies on the disk is wrong: further trials would say the same.
+            self.fatal = error_class(message)
+        return message
+
+    def _remember_stream(self, key: str) -> None:
+        known = load_truth(truth_path(self._folder, key))
+        assert known is not None
+        self._frames[key] = known.digest, known.frames
+
+    def _storage_failure(self, task: Task) -> StorageError:
+        log = self._folder / "logs" / f"{task.key}.log"
+        told = log.read_text().strip() if log.is_file() else ""
+        return StorageError(
+            told
+            or f"cannot write {task.result}: is the disk full? What finished before is kept: "
+            "make room and run the same command again"
+        )
+
+    def _store_failure(self, ended: Ended) -> None:
+        """Put a row where a worker left none."""
+        task = ended.task
+        digest, frames = self._frames[task.stream_key]
+        nothing = np.empty(0)
+        place = f"after {ended.frames_done} of {frames} frames"
+        run = Run(
+            back_end=task.label,
+            parameters=task.plugins[0][1],
+            digest=digest,
+            seed=task.seed,
+            frames=frames,
+            status="timed_out" if ended.timed_out else "crashed",
+            message=f"{place}: {ended.fault}{self._last_words(task)}",
+            online=Trajectory(nothing, np.empty((0, *self._pose_shape(task))), None),
+            update_s=nothing,
+            estimate_s=nothing,
+            versions=versions(),
+        )
+        save_run(StoredRun(run, score_run(run, None), ended.frames_done / frames), task.result)
+
+    def _pose_shape(self, task: Task) -> tuple[int, int]:
+        with np.load(stream_path(self._folder, task.digest), allow_pickle=False) as file:
+            size = file["prior_T"].shape[0]
+        return size, size
+
+    def _last_words(self, task: Task) -> str:
+        log = self._folder / "logs" / f"{task.key}.log"
+        return f"; its output is in {log}" if log.is_file() and log.stat().st_size else ""
+
+
+def _front_end_totals(trials: Sequence[Trial], folder: Path) -> dict[str, int]:
+    """What the front end let through, over all trials."""
+    totals: dict[str, int] = {}
+    for key in {trial.stream.key for trial in trials}:
+        known = load_truth(truth_path(folder, key))
+        for name, count in ({} if known is None else known.front_end).items():
+            totals[name] = totals.get(name, 0) + count
+    return totals

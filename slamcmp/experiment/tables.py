@@ -1,0 +1,155 @@
+"""Finished runs gathered into the three tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from slamcmp.errors import SlamcmpError
+from slamcmp.experiment.config import Choice
+from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
+from slamcmp.experiment.trials import Trial
+from slamcmp.experiment.worker import run_path, truth_path
+from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
+from slamcmp.types import GroundTruth
+
+KEYS = ("trial", "label", "back_end", "seed", "digest")
+COST_COLUMNS = ("update_s", "estimate_s", "final_s", "peak_memory_mb")
+
+
+def gather(
+    trials: Sequence[Trial], folder: Path, reference: str | None, stream_faults: Mapping[str, str]
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """The trials, frames and landmarks of every run that lies in the folder.
+
+    ``stream_faults`` holds, by stream key, why a stream could not be made: its runs become failed rows.
+
+    Raises:
+        SlamcmpError: back ends of one trial did not get the same stream.
+    """
+    rows: list[dict[str, Any]] = []
+    frames: list[pd.DataFrame] = []
+    landmarks: list[pd.DataFrame] = []
+    for trial in trials:
+        if trial.stream.key in stream_faults:
+            rows += [
+                _row_without_stream(trial, job.back_end, stream_faults[trial.stream.key])
+                for job in trial.runs
+            ]
+            continue
+        known = load_truth(truth_path(folder, trial.stream.key))
+        stored = [
+            (job.back_end, relabelled(run, job.back_end.label))
+            for job in trial.runs
+            if (run := load_run(run_path(folder, job.key))) is not None
+        ]
+        if known is None or not stored:
+            continue
+        _require_one_stream(trial, known, [run for _, run in stored])
+        truth, name = _truth(known, [run for _, run in stored], reference)
+        borrowed = truth is not None and known.truth is None
+        for choice, run in stored:
+            keys = _keys(trial, choice, known.digest)
+            scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
+            rows.append({**keys, **_outcome(run, name), **scores})
+            for tables, make in ((frames, frame_table), (landmarks, landmark_table)):
+                table = make(run.run, truth, reference=borrowed)
+                for position, (key, value) in enumerate(keys.items()):
+                    table.insert(position, key, value)
+                tables.append(table)
+    return (
+        _typed(pd.DataFrame(rows, columns=_columns(trials, rows))),
+        _joined(frames, trials),
+        _joined(landmarks, trials),
+    )
+
+
+def _require_one_stream(trial: Trial, known: StoredTruth, runs: Sequence[StoredRun]) -> None:
+    digests = {run.run.digest for run in runs} | {known.digest}
+    if len(digests) > 1:
+        raise SlamcmpError(
+            f"trial {trial.number}: its back ends ran on different streams "
+            f"({', '.join(sorted(digest[:12] for digest in digests))}), so their results cannot be compared; "
+            "the source or the front end does not repeat itself: delete the results folder and make them "
+            "depend on nothing but the seed"
+        )
+
+
+def _truth(
+    known: StoredTruth, runs: Sequence[StoredRun], reference: str | None
+) -> tuple[GroundTruth | None, str]:
+    """What the runs of a trial are compared with, and its name in the tables."""
+    if known.truth is not None:
+        return known.truth, "truth"
+    for stored in runs:
+        run = stored.run
+        if run.back_end == reference and run.status == "ok" and run.final is not None:
+            return reference_truth(run), f"{reference} (final)"
+    return None, "none"
+
+
+def _keys(trial: Trial, choice: Choice, digest: str) -> dict[str, Any]:
+    return {
+        "trial": trial.number,
+        "label": choice.label,
+        "back_end": choice.name,
+        "seed": trial.seed,
+        "digest": digest,
+        **{path: _cell(value) for path, value in trial.swept.items()},
+    }
+
+
+def _outcome(stored: StoredRun, reference: str) -> dict[str, Any]:
+    run = stored.run
+    return {
+        "status": run.status,
+        "message": run.message,
+        "completion": stored.completion,
+        "frames": run.frames,
+        "reference": reference,
+        "update_s": float(run.update_s.sum()),
+        "estimate_s": float(run.estimate_s.sum()),
+        "final_s": run.final_s,
+        "peak_memory_mb": run.peak_memory_mb,
+    }
+
+
+def _row_without_stream(trial: Trial, choice: Choice, fault: str) -> dict[str, Any]:
+    return {
+        **_keys(trial, choice, ""),
+        "status": "crashed",
+        "message": f"no stream: {fault}",
+        "completion": 0.0,
+        "frames": 0,
+        "reference": "none",
+        **dict.fromkeys(("update_s", "estimate_s", "final_s"), 0.0),
+        "peak_memory_mb": float("nan"),
+    }
+
+
+def _columns(trials: Sequence[Trial], rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    swept = list(trials[0].swept) if trials else []
+    outcome = ["status", "message", "completion", "frames", "reference", *COST_COLUMNS]
+    columns = [*KEYS, *swept, *outcome, *metric_columns()]
+    return list(dict.fromkeys([*columns, *(name for row in rows for name in row)]))
+
+
+def _joined(tables: Sequence[pd.DataFrame], trials: Sequence[Trial]) -> pd.DataFrame:
+    filled = [table for table in tables if len(table)]
+    if not filled:
+        swept = list(trials[0].swept) if trials else []
+        return tables[0].iloc[:0] if tables else pd.DataFrame(columns=[*KEYS, *swept])
+    return _typed(pd.concat(filled, ignore_index=True))
+
+
+def _typed(table: pd.DataFrame) -> pd.DataFrame:
+    return table.astype({"trial": "int64", "seed": "Int64"})
+
+
+def _cell(value: Any) -> Any:
+    """A swept value as a table can hold it."""
+    return value if isinstance(value, bool | int | float | str) else json.dumps(value)

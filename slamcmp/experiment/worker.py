@@ -1,0 +1,117 @@
+"""What a job does, in whichever process it runs: read its input files, compute, write its result file."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, MutableSequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slamcmp.errors import SlamcmpError
+from slamcmp.experiment.atomic import storage_error
+from slamcmp.experiment.plugin_models import bind_parameters
+from slamcmp.experiment.run_back_end import describe, run_back_end
+from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_truth, save_run, save_truth
+from slamcmp.frontend.stream_file import load_stream, save_stream
+from slamcmp.metrics import score_run
+from slamcmp.registry import back_ends, front_ends, sources
+
+
+@dataclass(frozen=True)
+class Task:
+    """A job as a worker needs it: names and plain values only."""
+
+    kind: str
+    """``stream`` or ``run``."""
+    key: str
+    folder: Path
+    """The results folder."""
+    plugins: tuple[tuple[str, Mapping[str, Any]], ...]
+    """Specification and parameters: of source and front end, or of the back end."""
+    seed: int | None
+    label: str = ""
+    stream_key: str = ""
+    digest: str = ""
+    """Of the stream that a run reads."""
+    time_limit_s: float = float("inf")
+    memory_limit_mb: float | None = None
+
+    @property
+    def result(self) -> Path:
+        """The file that this job leaves."""
+        return (truth_path if self.kind == "stream" else run_path)(self.folder, self.key)
+
+
+def run_path(folder: Path, key: str) -> Path:
+    """Where the run of that key lies."""
+    return folder / "runs" / f"{key}.npz"
+
+
+def stream_path(folder: Path, digest: str) -> Path:
+    """Where the stream of that digest lies."""
+    return folder / "streams" / f"{digest}.npz"
+
+
+def truth_path(folder: Path, key: str) -> Path:
+    """Where the truth of the stream job of that key lies: never in the file that back ends are fed from."""
+    return folder / "streams" / f"{key}.truth.npz"
+
+
+def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
+    """Do one job.
+
+    Raises:
+        StorageError: the result cannot be written. Everything else becomes part of the result.
+    """
+    # OpenCV is not imported here: only where a front end or a source has loaded it is there a pool to stop.
+    cv2 = sys.modules.get("cv2")
+    if cv2 is not None:
+        cv2.setNumThreads(1)
+    if task.kind == "stream":
+        _make_stream(task)
+    else:
+        _run(task, heartbeat)
+
+
+def _make_stream(task: Task) -> None:
+    (source, source_parameters), (front_end, front_end_parameters) = task.plugins
+    seed = 0 if task.seed is None else task.seed
+    try:
+        plugin = sources.get(source)
+        log = plugin.target(seed, **bind_parameters(plugin, dict(source_parameters)))
+        plugin = front_ends.get(front_end)
+        stream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end_parameters)))
+        digest = stream.digest
+    except Exception as error:
+        text = str(error) if isinstance(error, SlamcmpError) else describe(error)
+        save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
+        return
+    path = stream_path(task.folder, digest)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_stream(stream, path)
+    except OSError as error:
+        raise storage_error(path, error) from error
+    totals = {} if stream.report is None else stream.report.totals()
+    save_truth(StoredTruth(digest, len(stream.frames), log.truth, totals), task.result)
+
+
+def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
+    stream = load_stream(stream_path(task.folder, task.digest))
+    ((spec, parameters),) = task.plugins
+    plugin = back_ends.get(spec)
+    bound = bind_parameters(plugin, dict(parameters))
+    run = run_back_end(
+        lambda problem: plugin.target(problem, **bound),
+        stream,
+        label=task.label,
+        parameters=parameters,
+        seed=task.seed,
+        time_limit_s=task.time_limit_s,
+        heartbeat=heartbeat,
+    )
+    # Only now: while the back end runs, the truth is not in its process.
+    stored = load_truth(truth_path(task.folder, task.stream_key))
+    truth = None if stored is None else stored.truth
+    save_run(StoredRun(run, score_run(run, truth), run.completion), task.result)

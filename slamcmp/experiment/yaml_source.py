@@ -1,0 +1,113 @@
+"""A YAML file as plain data that remembers where each key and value stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from slamcmp.errors import MissingDataError, UsageError
+
+KeyPath = tuple[str | int, ...]
+
+
+class YamlSource:
+    """The data of one YAML file with the line and column of everything in it."""
+
+    def __init__(self, name: str, text: str) -> None:
+        """Parse ``text``; ``name`` stands for the file in messages.
+
+        Raises:
+            UsageError: not YAML, a key stands twice, or the top level is not a mapping.
+        """
+        self.name = name
+        try:
+            root = YAML(typ="rt").load(text)
+        except MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            where = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
+            what = (error.problem or error.context or "cannot be read").replace("\n", " ")
+            raise UsageError(f"{where}: not valid YAML: {what}") from error
+        except YAMLError as error:
+            raise UsageError(f"{name}: not valid YAML: {error}") from error
+        if not isinstance(root, CommentedMap):
+            raise UsageError(f"{name}:1:1: an experiment is a mapping (key: value), not {_kind(root)}")
+        self._root = root
+        self.data: dict[str, Any] = _plain(root)
+
+    def where(self, path: Sequence[str | int], *, key: bool = False) -> str:
+        """``file:line:column`` of the value at ``path`` (of its key with ``key=True``).
+
+        Where the path leads to nothing, the place of its longest part that exists.
+        """
+        line, column = self.position(path, key=key)
+        return f"{self.name}:{line}:{column}"
+
+    def existing(self, path: Sequence[str | int]) -> KeyPath:
+        """``path`` without the steps that lead nowhere (pydantic's names of a union's members)."""
+        node: Any = self._root
+        kept: list[str | int] = []
+        for depth, step in enumerate(path):
+            inside = isinstance(node, CommentedMap) and step in node
+            inside = inside or (isinstance(node, CommentedSeq) and isinstance(step, int) and step < len(node))
+            if inside:
+                node = node[step]
+                kept.append(step)
+            elif isinstance(node, CommentedMap) and depth == len(path) - 1:
+                kept.append(step)
+        return tuple(kept)
+
+    def position(self, path: Sequence[str | int], *, key: bool = False) -> tuple[int, int]:
+        """Line and column, both from 1."""
+        node: Any = self._root
+        line, column = 0, 0
+        for depth, step in enumerate(path):
+            last = depth == len(path) - 1
+            if isinstance(node, CommentedMap) and step in node:
+                if step in node.lc.data:
+                    line, column = node.lc.key(step) if key and last else node.lc.value(step)
+            elif isinstance(node, CommentedSeq) and isinstance(step, int) and step < len(node):
+                line, column = node.lc.item(step)
+            else:
+                break
+            node = node[step]
+        return line + 1, column + 1
+
+
+def load_yaml(path: Path) -> YamlSource:
+    """Read one YAML file.
+
+    Raises:
+        MissingDataError: there is no such file.
+        UsageError: it is not UTF-8 text or not valid YAML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise MissingDataError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from error
+    return YamlSource(str(path), text)
+
+
+def _plain(node: Any) -> Any:
+    """Without ruamel's own types, which carry formatting and comments."""
+    if isinstance(node, dict):
+        return {str(key): _plain(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_plain(value) for value in node]
+    if node is None or isinstance(node, bool):
+        return node
+    for kind in (int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
+    # ruamel keeps booleans with an anchor as a subclass of int with this name.
+    return bool(node) if type(node).__name__ == "ScalarBoolean" else str(node)
+
+
+def _kind(value: Any) -> str:
+    return "empty" if value is None else "a list" if isinstance(value, list) else f"{value!r}"
