@@ -1,0 +1,157 @@
+"""Write a log or a measurement stream as g2o text that keeps landmarks and bearing-range edges.
+
+Vertices share one numbering in g2o: landmarks keep their ids, poses follow after the largest of them.
+Lines stand in the order in which the robot lived them: each pose's odometry, then what it saw. Bearing-range
+edges are lines ``EDGE_BEARING_RANGE_SE2_XY i l bearing range I11 I12 I22``, a kind g2o itself lacks; time
+stamps are comments. :func:`~slamcmp.datasets.graph_reader.read_graph` reads all of it back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.datasets.graph_reader import TIME_COMMENT
+from slamcmp.errors import DataError
+from slamcmp.geometry import dead_reckoning, quaternion, se2_coordinates
+from slamcmp.types import Frame, IntArray, Landmarks, Log, MeasurementStream
+
+FloatArray = NDArray[np.float64]
+
+
+def write_g2o(
+    path: Path | str,
+    data: Log | MeasurementStream,
+    *,
+    poses: FloatArray | None = None,
+    landmarks: Landmarks | None = None,
+) -> None:
+    """Write ``data`` to ``path``; vertices hold ``poses`` (K, n+1, n+1) and ``landmarks`` where given.
+
+    Without estimates the poses are those of dead reckoning, and a landmark stands where it was first seen
+    from there.
+
+    Raises:
+        DataError: a covariance without inverse, which information matrices cannot hold, or a negative id.
+    """
+    frames = _frames(data)
+    sensor = data.problem.sensor
+    seen = np.concatenate([frame.ids for frame in frames])
+    if seen.size and seen.min() < 0:
+        raise DataError(f"{path}: landmark id {seen.min()}; g2o needs ids from 0 on (unlabelled detections?)")
+    if poses is None:
+        increments = np.stack([frame.T_prev_body for frame in frames])
+        poses = dead_reckoning(data.problem.T_world_body, increments)
+    if len(poses) != len(frames):
+        raise DataError(f"{path}: {len(poses)} poses for {len(frames)} frames")
+    places: dict[int, FloatArray] = {}
+    for frame, T in zip(frames, poses, strict=True):
+        positions = sensor.invert(T, frame.z)
+        for landmark, position in zip(frame.ids.tolist(), positions, strict=True):
+            places.setdefault(landmark, position)
+    if landmarks is not None:
+        places |= dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
+    writer = _Writer(sensor.space_dim, sensor.name, offset=1 + max(places, default=-1))
+    lines = writer.lines(frames, data.problem.T_world_body, data.problem.P, poses, places)
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _frames(data: Log | MeasurementStream) -> tuple[Frame, ...]:
+    if isinstance(data, MeasurementStream):
+        return data.frames
+    return tuple(
+        Frame(k, float(data.t[k]), data.T_prev_body[k], data.Q[k], seen.ids, seen.z, seen.R)
+        for k, seen in enumerate(data.detections)
+    )
+
+
+class _Writer:
+    def __init__(self, space_dim: int, sensor_name: str, offset: int) -> None:
+        if (space_dim, sensor_name) not in {
+            (2, "range_bearing"),
+            (2, "relative_position"),
+            (3, "relative_position"),
+        }:
+            raise DataError(f"sensor {sensor_name!r} in {space_dim}-D has no edge in a g2o file")
+        self._flat = space_dim == 2
+        self._bearing = sensor_name == "range_bearing"
+        self._offset = offset
+
+    def lines(
+        self,
+        frames: tuple[Frame, ...],
+        prior: FloatArray,
+        prior_covariance: FloatArray,
+        poses: FloatArray,
+        places: dict[int, FloatArray],
+    ) -> Iterator[str]:
+        if not self._flat:
+            yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
+        vertex = "VERTEX_SE2" if self._flat else "VERTEX_SE3:QUAT"
+        for frame, T in zip(frames, poses, strict=True):
+            yield _line(vertex, [self._offset + frame.k], self._pose(T))
+        for landmark, position in sorted(places.items()):
+            yield _line("VERTEX_XY" if self._flat else "VERTEX_TRACKXYZ", [landmark], position)
+        information = self._pose_information(prior_covariance, "the prior's P")
+        if self._flat:
+            yield _line("EDGE_PRIOR_SE2", [self._offset], self._pose(prior), information)
+        else:
+            yield _line("EDGE_SE3_PRIOR", [self._offset, 0], self._pose(prior), information)
+        for frame in frames:
+            yield from self._frame(frame)
+
+    def _frame(self, frame: Frame) -> Iterator[str]:
+        here = self._offset + frame.k
+        yield _line(TIME_COMMENT, [here], [frame.t])
+        if frame.k:
+            information = self._pose_information(frame.Q, f"Q of frame {frame.k}")
+            edge = "EDGE_SE2" if self._flat else "EDGE_SE3:QUAT"
+            yield _line(edge, [here - 1, here], self._pose(frame.T_prev_body), information)
+        for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
+            yield self._observation(frame.k, here, landmark, z, R)
+
+    def _observation(self, k: int, here: int, landmark: int, z: FloatArray, R: FloatArray) -> str:
+        what = f"R of landmark {landmark} in frame {k}"
+        if self._bearing:
+            information = _information(R[::-1, ::-1], what)
+            return _line("EDGE_BEARING_RANGE_SE2_XY", [here, landmark], z[::-1], _upper(information))
+        information = _information(R, what)
+        if self._flat:
+            return _line("EDGE_SE2_XY", [here, landmark], z, _upper(information))
+        return _line("EDGE_SE3_TRACKXYZ", [here, landmark, 0], z, _upper(information))
+
+    def _pose(self, T: FloatArray) -> FloatArray:
+        if self._flat:
+            return se2_coordinates(T)
+        return np.concatenate([T[:3, 3], quaternion(T[:3, :3])])
+
+    def _pose_information(self, covariance: FloatArray, what: str) -> FloatArray:
+        information = _information(covariance, what)
+        if not self._flat:
+            # g2o has translation before rotation.
+            order = [3, 4, 5, 0, 1, 2]
+            information = information[np.ix_(order, order)]
+        return _upper(information)
+
+
+def _information(covariance: FloatArray, what: str) -> FloatArray:
+    eigenvalues = np.linalg.eigvalsh(covariance)
+    if not eigenvalues[0] > 1e-15 * abs(eigenvalues[-1]):
+        raise DataError(f"{what} is singular: a g2o file holds its inverse, so no direction may be exact")
+    inverse = np.linalg.inv(covariance)
+    information: FloatArray = 0.5 * (inverse + inverse.T)
+    return information
+
+
+def _upper(matrix: FloatArray) -> FloatArray:
+    upper: FloatArray = matrix[np.triu_indices(len(matrix))]
+    return upper
+
+
+def _line(tag: str, ids: Iterable[int] | IntArray, *numbers: Iterable[float]) -> str:
+    # repr is the shortest text that reads back to the same bits.
+    values = [repr(float(value)) for group in numbers for value in group]
+    return " ".join([tag, *map(str, ids), *values])
