@@ -1,0 +1,97 @@
+"""Draw the registered figures of a results folder and write them as files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from slamcmp.experiment.store import Results
+from slamcmp.registry import figures
+from slamcmp.report import style
+from slamcmp.report.selection import NotDrawable
+
+ORDER = ("map", "errors", "consistency", "time", "budget", "sweep")
+"""How a report reads; figures that are not named here follow in alphabetical order."""
+DPI = 150
+
+
+class FigureFiles(list[Path]):
+    """The files written; ``skipped`` maps each figure that was not drawn to the reason."""
+
+    def __init__(self, paths: Sequence[Path] = (), skipped: dict[str, str] | None = None) -> None:
+        super().__init__(paths)
+        self.skipped = skipped or {}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One figure, or the reason why there is none."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure | None
+    reason: str = ""
+
+
+def draw_figures(
+    results: Results,
+    names: Sequence[str] | None,
+    folder: Path,
+    formats: Sequence[str] = ("png", "svg"),
+) -> FigureFiles:
+    """Write the named figures (None: all) to ``folder`` as NAME.FORMAT; the same results give the same bytes.
+
+    A figure whose inputs are missing is not written; the returned list's ``skipped`` says why.
+
+    Raises:
+        UsageError: a name is not a registered figure.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = FigureFiles()
+    for drawn in each_figure(results, names):
+        if drawn.figure is None:
+            files.skipped[drawn.name] = drawn.reason
+            continue
+        for file_format in formats:
+            path = folder / f"{drawn.name}.{file_format}"
+            path.write_bytes(figure_bytes(drawn.figure, file_format))
+            files.append(path)
+    return files
+
+
+def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterator[Drawn]:
+    """Draw one figure after the other, in reading order.
+
+    Raises:
+        UsageError: a name is not a registered figure.
+    """
+    if names is None:
+        known = figures.names()
+        names = [name for name in ORDER if name in known] + [name for name in known if name not in ORDER]
+    for plugin in [figures.get(name) for name in names]:
+        title, caption = plugin.traits.get("title", plugin.name), plugin.traits.get("caption", plugin.summary)
+        with matplotlib.rc_context(style.RC):
+            try:
+                figure = plugin.target(results)
+            except NotDrawable as reason:
+                yield Drawn(plugin.name, title, caption, None, str(reason))
+            else:
+                yield Drawn(plugin.name, title, caption, figure)
+
+
+def figure_bytes(figure: Figure, file_format: str) -> bytes:
+    """The figure as PNG (150 dpi) or SVG, without the date and with fixed identifiers."""
+    # The two writers name the time of writing differently, and neither belongs in a reproducible file.
+    metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(file_format, {})
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(style.RC):
+        figure.savefig(buffer, format=file_format, dpi=DPI, metadata=metadata)
+    return buffer.getvalue()

@@ -1,0 +1,132 @@
+"""How error, consistency and cost change with what the experiment swept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from slamcmp.experiment.store import Results
+from slamcmp.registry import figures
+from slamcmp.report import style
+from slamcmp.report.selection import (
+    NotDrawable,
+    at_point,
+    has_values,
+    labels,
+    middle_point,
+    milliseconds_per_frame,
+    point_name,
+    swept_columns,
+    value_text,
+)
+
+PANELS = (
+    ("ate", "ATE [m]"),
+    ("heading_rmse_deg", "heading RMSE [deg]"),
+    ("pose_nees", "pose NEES"),
+    ("ms", "time [ms per frame]"),
+)
+
+
+@figures.register(
+    "sweep",
+    title="Sweep",
+    needs=("trials: at least one swept path with two values",),
+    caption=(
+        "Median over the finished runs of each grid point, with the quartiles as a band. Dashed: online "
+        "(causal); solid: final (hindsight). Time: updates and estimates of the online answer. Numbers at "
+        "the top of the first panel count failed runs, which are in no median."
+    ),
+)
+def plot_sweep(results: Results) -> Figure:
+    """Median and quartiles of the main metrics against each swept path, per back end."""
+    trials = results.trials.assign(online_ms=milliseconds_per_frame(results.trials, "update_s", "estimate_s"))
+    paths = [path for path in swept_columns(trials) if trials[path].nunique() > 1]
+    if not paths:
+        raise NotDrawable("nothing was swept")
+    panels = [
+        (metric, name)
+        for metric, name in PANELS
+        if has_values(trials, [f"online_{metric}"]) or has_values(trials, [f"final_{metric}"])
+    ]
+    middle = middle_point(results)
+    title = " and ".join(paths)
+    figure = style.new_figure(2.9 * len(panels) + 0.6, 2.9 * len(paths) + 1.1, f"Against {title}")
+    grid = figure.subplots(len(paths), len(panels), squeeze=False)
+    for row, path in enumerate(paths):
+        others = {other: value for other, value in middle.items() if other != path}
+        rows = at_point(trials, others)
+        for column, (metric, name) in enumerate(panels):
+            axes = grid[row, column]
+            _draw_metric(axes, results, rows, path, metric)
+            axes.set_title(name)
+            axes.set_xlabel(path)
+        _count_failures(grid[row, 0], results, rows, path)
+        if others:
+            grid[row, 0].set_ylabel(point_name(others))
+    colours, markers = style.colours(results), style.markers(results)
+    keys = [style.line_key(label, color=colours[label], marker=markers[label]) for label in labels(results)]
+    if has_values(trials, ["final_ate"]):
+        keys += [
+            style.line_key(which, color="#555555", linestyle=line) for which, line in style.LINES.items()
+        ]
+    style.legend_below(figure, keys)
+    return figure
+
+
+def quartiles_by(rows: pd.DataFrame, path: str, column: str) -> pd.DataFrame:
+    """Quartiles (columns 0.25, 0.5, 0.75) of a metric over the finished runs at each swept value."""
+    ok = rows[(rows["status"] == "ok") & rows[column].notna()]
+    return ok.groupby(path)[column].quantile(np.array([0.25, 0.5, 0.75])).unstack()
+
+
+def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, metric: str) -> None:
+    positions = _positions(rows[path])
+    drawn: list[Any] = []
+    for label in labels(results):
+        own = rows[rows["label"] == label]
+        for which, line in style.LINES.items():
+            column = f"{which}_{metric}"
+            if not has_values(own[own["status"] == "ok"], [column]):
+                continue
+            table = quartiles_by(own, path, column)
+            x = [positions[value] for value in table.index]
+            colour, marker = style.colours(results)[label], style.markers(results)[label]
+            axes.fill_between(x, table[0.25], table[0.75], color=colour, alpha=0.15, linewidth=0)
+            solid = "-" if metric == "ms" else line
+            axes.plot(x, table[0.5], color=colour, linestyle=solid, marker=marker, markersize=4)
+            drawn.append(table.to_numpy(dtype=float).ravel())
+    if drawn:
+        style.log_if_wide(axes, np.concatenate(drawn))
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in positions):
+        style.log_if_wide(axes, np.array(list(positions.values()), dtype=float), "x", 5.0)
+    axes.set_xticks(list(positions.values()), [value_text(value) for value in positions])
+    axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+
+
+def _positions(values: pd.Series[Any]) -> dict[Any, float]:
+    """Where each swept value stands on the axis: numbers at themselves, names side by side."""
+    distinct = list(values.drop_duplicates().dropna())
+    if all(isinstance(v, int | float | np.number) and not isinstance(v, bool | np.bool_) for v in distinct):
+        return {value: float(value) for value in sorted(distinct)}
+    return {value: float(index) for index, value in enumerate(distinct)}
+
+
+def _count_failures(axes: Axes, results: Results, rows: pd.DataFrame, path: str) -> None:
+    positions = _positions(rows[path])
+    failed = rows[rows["status"] != "ok"]
+    for line, label in enumerate(labels(results)):
+        for value, count in failed[failed["label"] == label].groupby(path).size().items():
+            axes.annotate(
+                f"{count} failed",
+                (positions[value], 0.98 - 0.07 * line),
+                xycoords=("data", "axes fraction"),
+                color=style.colours(results)[label],
+                fontsize=7.5,
+                ha="center",
+                va="top",
+            )
