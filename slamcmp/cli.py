@@ -1,1 +1,67 @@
-"""The command line: each command calls one public function."""
+"""The command line: each command calls one public function.
+
+Nothing heavy is imported here, so that ``--help`` answers at once: commands import what they need when they
+are called.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+import slamcmp
+from slamcmp import cli_results, cli_run, cli_show, cli_stream
+from slamcmp.errors import SlamcmpError
+
+app = typer.Typer(
+    name="slamcmp",
+    help="Filter or smooth? Compare SLAM back ends on one shared front end.",
+    epilog="Example: slamcmp run quickstart",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+cli_run.add_commands(app)
+cli_results.add_commands(app)
+cli_show.add_commands(app)
+cli_stream.add_commands(app)
+
+_debug = False
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"slamcmp {slamcmp.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[  # noqa: ARG001
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    global _debug
+    _debug = debug
+
+
+def main() -> None:
+    """Run the command line; exit codes: 0 ok, 1 runs failed, 2 usage, 3 missing data, 130 interrupted."""
+    # Before numpy loads: several threads on small matrices only get into each other's way.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    try:
+        app()
+    except SlamcmpError as error:
+        if _debug:
+            raise
+        print(f"slamcmp: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, MutableSequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DivergedError
 from slamcmp.experiment.memory import PeakMemory
@@ -176,17 +175,16 @@ def first_fault(poses: FloatArray, covariances: FloatArray) -> tuple[int, str] |
     A covariance may be singular (a start known exactly) but not indefinite beyond rounding; that is
     judged on the correlation matrix, for metres and radians differ by orders of magnitude.
     """
-    finite_pose: NDArray[np.bool_] = np.isfinite(poses).all(axis=(1, 2))
-    finite: NDArray[np.bool_] = np.isfinite(covariances).all(axis=(1, 2))
+    finite_pose = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
+    finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
     good = np.where(finite[:, None, None], covariances, 0.0)
     sizes = np.abs(np.diagonal(good, axis1=1, axis2=2))
     scale = 1.0 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
     correlation = good * scale[:, :, None] * scale[:, None, :]
-    symmetric: NDArray[np.bool_] = (
-        np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0.0) < 1e-6
-    )
+    skewness = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0.0)
+    symmetric = np.asarray(skewness < 1e-6)
     smallest = np.linalg.eigvalsh(correlation)[:, 0]
-    bad: NDArray[np.bool_] = ~(finite_pose & finite & symmetric & (smallest >= INDEFINITE))
+    bad = ~(finite_pose & finite & symmetric & (smallest >= INDEFINITE))
     if not bad.any():
         return None
     k = int(np.argmax(bad))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ def gather(
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
-            rows.append({**keys, **_outcome(run, name), **scores})
+            rows.append({**keys, **scores, **_outcome(run, name)})
             for tables, make in ((frames, frame_table), (landmarks, landmark_table)):
                 table = make(run.run, truth, reference=borrowed)
                 for position, (key, value) in enumerate(keys.items()):
@@ -111,8 +112,9 @@ def _outcome(stored: StoredRun, reference: str) -> dict[str, Any]:
         "completion": stored.completion,
         "frames": run.frames,
         "reference": reference,
-        "update_s": float(run.update_s.sum()),
-        "estimate_s": float(run.estimate_s.sum()),
+        # Of a killed worker no times are known; zero would read as fast.
+        "update_s": float(run.update_s.sum()) if run.update_s.size else math.nan,
+        "estimate_s": float(run.estimate_s.sum()) if run.estimate_s.size else math.nan,
         "final_s": run.final_s,
         "peak_memory_mb": run.peak_memory_mb,
     }
@@ -126,8 +128,7 @@ def _row_without_stream(trial: Trial, choice: Choice, fault: str) -> dict[str, A
         "completion": 0.0,
         "frames": 0,
         "reference": "none",
-        **dict.fromkeys(("update_s", "estimate_s", "final_s"), 0.0),
-        "peak_memory_mb": float("nan"),
+        **dict.fromkeys(COST_COLUMNS, math.nan),
     }
 
 

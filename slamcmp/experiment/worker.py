@@ -16,6 +16,7 @@ from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_truth, save
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import score_run
 from slamcmp.registry import back_ends, front_ends, sources
+from slamcmp.types import GroundTruth, Log, MeasurementStream
 
 
 @dataclass(frozen=True)
@@ -74,27 +75,33 @@ def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
         _run(task, heartbeat)
 
 
+def make_stream(
+    source: tuple[str, Mapping[str, Any]], front_end: tuple[str, Mapping[str, Any]], seed: int | None
+) -> tuple[MeasurementStream, GroundTruth | None]:
+    """The stream that a source and a front end, each (name, parameters), make from a seed; and the truth."""
+    seed = 0 if seed is None else seed
+    plugin = sources.get(source[0])
+    log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
+    plugin = front_ends.get(front_end[0])
+    stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
+    return stream, log.truth
+
+
 def _make_stream(task: Task) -> None:
-    (source, source_parameters), (front_end, front_end_parameters) = task.plugins
-    seed = 0 if task.seed is None else task.seed
     try:
-        plugin = sources.get(source)
-        log = plugin.target(seed, **bind_parameters(plugin, dict(source_parameters)))
-        plugin = front_ends.get(front_end)
-        stream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end_parameters)))
-        digest = stream.digest
+        stream, truth = make_stream(task.plugins[0], task.plugins[1], task.seed)
     except Exception as error:
         text = str(error) if isinstance(error, SlamcmpError) else describe(error)
         save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
         return
-    path = stream_path(task.folder, digest)
+    path = stream_path(task.folder, stream.digest)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         save_stream(stream, path)
     except OSError as error:
         raise storage_error(path, error) from error
     totals = {} if stream.report is None else stream.report.totals()
-    save_truth(StoredTruth(digest, len(stream.frames), log.truth, totals), task.result)
+    save_truth(StoredTruth(stream.digest, len(stream.frames), truth, totals), task.result)
 
 
 def _run(task: Task, heartbeat: MutableSequence[float]) -> None:

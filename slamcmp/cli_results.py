@@ -1,0 +1,53 @@
+"""``slamcmp plot`` and ``slamcmp report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RESULTS_HELP = "A results folder, or the name of an experiment below results/."
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Put this file's commands into the application."""
+    app.command(epilog="Example: slamcmp plot results/quickstart --figure map --format png")(plot)
+    app.command(epilog="Example: slamcmp report results/quickstart")(report)
+
+
+def plot(
+    results: Annotated[str, typer.Argument(help=RESULTS_HELP)],
+    figure: Annotated[
+        list[str] | None, typer.Option(help="Name of a figure, repeatable; default: all that apply.")
+    ] = None,
+    formats: Annotated[str, typer.Option("--format", help="Formats, separated by commas.")] = "png,svg",
+) -> None:
+    """Draw an experiment's figures into its results folder."""
+    from slamcmp.errors import UsageError
+    from slamcmp.experiment.store import load_results
+    from slamcmp.report import draw_figures
+
+    wanted = tuple(part.strip() for part in formats.split(","))
+    unknown = [name for name in wanted if name not in ("png", "svg", "pdf")]
+    if unknown:
+        raise UsageError(f"--format {formats}: {unknown[0]!r} is not one of png, svg, pdf")
+    found = load_results(find_results(results))
+    names = figure or found.manifest["config"].get("figures")
+    for path in draw_figures(found, names, found.folder / "figures", wanted):
+        print(path)
+
+
+def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:
+    """Write an experiment's report as one HTML file that needs no network."""
+    from slamcmp.experiment.store import load_results
+    from slamcmp.report import write_report
+
+    found = load_results(find_results(results))
+    print(write_report(found, found.folder / "report.html"))
+
+
+def find_results(results: str) -> Path:
+    """The folder ``results``, or else ``results/RESULTS``."""
+    path = Path(results)
+    return path if path.is_dir() or not (Path("results") / results).is_dir() else Path("results") / results

@@ -1,0 +1,184 @@
+"""``slamcmp run``."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from slamcmp.experiment.runner import Plan
+    from slamcmp.experiment.store import Results
+
+EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Put this file's commands into the application."""
+    app.command(epilog="Example: slamcmp run experiments/victoria_park.yaml --jobs 2")(run)
+
+
+def run(
+    config: Annotated[str, typer.Argument(help="Experiment file, or the name of a shipped experiment.")],
+    jobs: Annotated[int | None, typer.Option(min=1, help="Jobs at a time; default: one a core.")] = None,
+    rerun_failed: Annotated[
+        bool, typer.Option("--rerun-failed", help="Run again what did not end well.")
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would run, and stop.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print machine-readable results only.")] = False,
+    seed: Annotated[int | None, typer.Option(min=0, help="This seed in place of the file's.")] = None,
+    results: Annotated[Path | None, typer.Option(help="Results folder; default: results/NAME.")] = None,
+    executor: Annotated[str, typer.Option(help="Where jobs run: processes or serial.")] = "processes",
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
+) -> None:
+    """Run an experiment, or what is left of it, and print its table."""
+    from slamcmp.experiment.executors import warm_up
+
+    if executor == "processes" and not dry_run:
+        # It loads its modules while this process loads its own.
+        warm_up()
+    from slamcmp.experiment.config import load_experiment
+    from slamcmp.experiment.runner import plan_experiment, run_experiment
+
+    experiment = load_experiment(find_experiment(config))
+    seeds = None if seed is None else [seed]
+    folder = results or Path("results") / experiment.name
+    if dry_run:
+        plan = plan_experiment(
+            experiment if seeds is None else experiment.with_seeds(seeds), folder, rerun_failed=rerun_failed
+        )
+        _print_plan(plan, folder, as_json)
+        return
+    found = run_experiment(
+        experiment,
+        folder=folder,
+        jobs=jobs,
+        rerun_failed=rerun_failed,
+        seeds=seeds,
+        executor=executor,
+        progress=not as_json,
+        command=" ".join(["slamcmp", *sys.argv[1:]]),
+    )
+    from slamcmp.report import summary_table, write_report
+
+    summary = summary_table(found)
+    report = None if no_report else write_report(found, folder / "report.html")
+    failed = found.trials[found.trials["status"] != "ok"]
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "folder": str(found.folder),
+                    "report": None if report is None else str(report),
+                    "manifest": json_value(found.manifest),
+                    "summary": json_rows(summary.reset_index()),
+                    "trials": json_rows(found.trials),
+                },
+                default=str,
+                allow_nan=False,
+            )
+        )
+    else:
+        _print_results(found, summary, failed, report)
+    if len(failed):
+        raise typer.Exit(1)
+
+
+def find_experiment(config: str) -> Path:
+    """The file ``config``, or the shipped experiment of that name.
+
+    Raises:
+        MissingDataError: neither is there.
+    """
+    from slamcmp.errors import MissingDataError
+    from slamcmp.registry import did_you_mean
+
+    path = Path(config)
+    shipped = {each.stem: each for each in sorted(EXPERIMENTS.glob("*.yaml"))}
+    if path.is_file():
+        return path
+    if config in shipped:
+        return shipped[config]
+    hint = did_you_mean(path.stem, shipped) if shipped else ""
+    raise MissingDataError(f"there is no experiment file {config!r}{hint}")
+
+
+def json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table as JSON knows them: null for what is missing or not finite."""
+    plain = table.astype(object).where(table.notna(), None)
+    return [{str(key): json_value(value) for key, value in row.items()} for row in plain.to_dict("records")]
+
+
+def json_value(value: Any) -> Any:
+    """Null in place of numbers that JSON does not know, Python's types in place of numpy's."""
+    if isinstance(value, dict):
+        return {str(key): json_value(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(each) for each in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_table(table: pd.DataFrame) -> None:
+    """A table on standard output, as wide as the terminal or, in a file, as wide as it needs."""
+    from rich.console import Console
+    from rich.table import Table
+
+    terminal = sys.stdout.isatty()
+    shown = Table(box=None, header_style="bold", pad_edge=False)
+    for name in table.columns:
+        text = table[name].dtype.kind not in "fiu"
+        shown.add_column(str(name), justify="left" if text else "right", overflow="fold")
+    for row in table.itertuples(index=False):
+        shown.add_row(*(_cell(value) for value in row))
+    Console(width=None if terminal else 1000, highlight=False, markup=False).print(shown)
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
+    if as_json:
+        print(
+            json.dumps(
+                {
+                    "folder": str(folder),
+                    "trials": len(plan.trials),
+                    "streams_to_make": sorted(plan.streams),
+                    "runs_to_do": sorted(plan.runs),
+                    "runs_reused": plan.reused,
+                }
+            )
+        )
+        return
+    for trial in plan.trials:
+        swept = [f"{path}={value}" for path, value in trial.swept.items()]
+        seed = [] if trial.seed is None else [f"seed={trial.seed}"]
+        jobs = [f"{job.back_end.label}{'' if job.key in plan.runs else ' (done)'}" for job in trial.runs]
+        print(f"trial {trial.number}: {' '.join([*swept, *seed])}: {', '.join(jobs)}".replace(": :", ":"))
+    print(
+        f"{len(plan.trials)} trials; to do: {len(plan.streams)} streams, {len(plan.runs)} runs; "
+        f"reused: {plan.reused} runs; results: {folder}"
+    )
+
+
+def _print_results(
+    results: Results, summary: pd.DataFrame, failed: pd.DataFrame, report: Path | None
+) -> None:
+    print_table(summary)
+    for row in failed.itertuples():
+        seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed}"
+        print(f"{row.status}: {row.label} (trial {row.trial}{seed}): {row.message}", file=sys.stderr)
+    print(f"results: {results.folder}")
+    if report is not None:
+        print(f"report: {report}")

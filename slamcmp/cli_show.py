@@ -1,0 +1,135 @@
+"""``slamcmp list``, ``slamcmp schema`` and ``slamcmp doctor``."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from slamcmp.cli_run import EXPERIMENTS
+from slamcmp.errors import UsageError
+from slamcmp.registry import (
+    back_ends,
+    did_you_mean,
+    executors,
+    figures,
+    front_ends,
+    metrics,
+    sensors,
+    sources,
+)
+
+if TYPE_CHECKING:
+    from slamcmp.registry import Plugin
+
+KINDS = {
+    "sources": sources,
+    "front-ends": front_ends,
+    "back-ends": back_ends,
+    "sensors": sensors,
+    "metrics": metrics,
+    "figures": figures,
+    "executors": executors,
+}
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Put this file's commands into the application."""
+    app.command("list", epilog="Example: slamcmp list back-ends isam2")(list_plugins)
+    app.command(epilog="Example: slamcmp schema > experiment.schema.json")(schema)
+    app.command(epilog="Example: slamcmp doctor")(doctor)
+
+
+def list_plugins(
+    kind: Annotated[
+        str | None, typer.Argument(help=f"One of {', '.join(KINDS)}, experiments; default: all.")
+    ] = None,
+    name: Annotated[str | None, typer.Argument(help="A plug-in, to see its parameters.")] = None,
+) -> None:
+    """List what experiments can be made of, or the parameters of one plug-in."""
+    if kind is not None and kind not in (*KINDS, "experiments"):
+        raise UsageError(f"unknown kind {kind!r}{did_you_mean(kind, [*KINDS, 'experiments'])}")
+    if name is not None and kind in KINDS:
+        _print_parameters(KINDS[kind].get(name))
+        return
+    for each in (*KINDS, "experiments") if kind is None else (kind,):
+        if kind is None:
+            print(f"{each}:")
+        _print_pairs(
+            _experiments() if each == "experiments" else _summaries(each), "  " if kind is None else ""
+        )
+
+
+def schema() -> None:
+    """Print the JSON Schema of experiment files, with every plug-in's parameters, for editors."""
+    from slamcmp.experiment.schema import experiment_schema
+
+    print(json.dumps(experiment_schema(), indent=2))
+
+
+def doctor() -> None:
+    """Check that this machine and installation can run experiments."""
+    from slamcmp.doctor import examine
+
+    well = True
+    for finding in examine():
+        well = well and finding.ok
+        print(f"{'ok  ' if finding.ok else 'FAIL'} {finding.what}: {finding.detail}")
+    if not well:
+        raise typer.Exit(1)
+
+
+def _summaries(kind: str) -> list[tuple[str, str]]:
+    return [(plugin.name, plugin.summary) for plugin in KINDS[kind]]
+
+
+def _experiments() -> list[tuple[str, str]]:
+    from slamcmp.experiment.yaml_source import load_yaml
+
+    return [
+        (path.stem, str(load_yaml(path).data.get("question", "")))
+        for path in sorted(EXPERIMENTS.glob("*.yaml"))
+    ]
+
+
+def _print_pairs(pairs: list[tuple[str, str]], indent: str) -> None:
+    width = max((len(name) for name, _ in pairs), default=0)
+    for name, text in pairs:
+        print(f"{indent}{name:{width}}  {text}".rstrip())
+
+
+def _print_parameters(plugin: Plugin) -> None:
+    print(inspect.getdoc(plugin.target) or plugin.name)
+    traits = {
+        key: value for key, value in plugin.traits.items() if isinstance(value, str | bool | int | float)
+    }
+    for key, value in traits.items():
+        print(f"{key}: {value}")
+    parameters = plugin.parameters()
+    if parameters:
+        print("\nParameters:")
+        _print_pairs([(name, _described(parameter)) for name, parameter in parameters.items()], "  ")
+
+
+def _described(parameter: inspect.Parameter) -> str:
+    """``float, greater than 0, default 8.0``, from the schema that configurations are checked with."""
+    from pydantic import TypeAdapter
+
+    empty = inspect.Parameter.empty
+    about: dict[str, Any] = {}
+    if parameter.annotation is not empty:
+        about = TypeAdapter(parameter.annotation).json_schema()
+    text = _type_text(about)
+    return text + (", required" if parameter.default is empty else f", default {parameter.default!r}")
+
+
+def _type_text(about: dict[str, Any]) -> str:
+    if "anyOf" in about:
+        return " or ".join(_type_text(each) for each in about["anyOf"])
+    if "enum" in about:
+        return "one of " + ", ".join(map(str, about["enum"]))
+    bounds = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+    limits = [f"{sign} {about[key]}" for key, sign in bounds.items() if key in about]
+    return " ".join([str(about.get("type", "any")), *limits])
