@@ -177,8 +177,8 @@ def _print_results(
 ) -> None:
     print_table(summary)
     for row in failed.itertuples():
-        seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed}"
-        print(f"{row.status}: {row.label} (trial {row.trial}{seed}): {row.message}", file=sys.stderr)
+        seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed!s}"
+        print(f"{row.status!s}: {row.label!s} (trial {row.trial!s}{seed}): {row.message!s}", file=sys.stderr)
     print(f"results: {results.folder}")
     if report is not None:
         print(f"report: {report}")
