@@ -61,13 +61,11 @@ def _gtsam() -> str:
     for k in range(3):
         step = np.eye(3)
         step[0, 2] = 1.0 if k else 0.0
-        seen = np.array([[5.0 - k, 1.0]])
-        back_end.update(Frame(k, float(k), step, np.eye(3) * (1e-4 if k else 0), [7], seen, np.eye(2)[None]))
+        Q, R = np.eye(3) * (1e-4 if k else 0.0), np.eye(2)[None]
+        back_end.update(Frame(k, float(k), step, Q, np.array([7]), np.array([[5.0 - k, 1.0]]), R))
     x = back_end.estimate().T_world_body[0, 2]
     if abs(x - 2.0) > 1e-6:
-        raise RuntimeError(
-            f"a 3-pose graph came out at x = {x}, not 2; reinstall: pip install 'gtsam>=4.3,<4.4'"
-        )
+        raise RuntimeError(f"3 poses came out at x = {x}, not 2; reinstall: pip install 'gtsam>=4.3,<4.4'")
     return f"{importlib.metadata.version('gtsam')} solves a 3-pose graph"
 
 
