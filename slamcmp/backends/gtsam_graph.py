@@ -1,0 +1,224 @@
+"""The cost of a measurement stream as a GTSAM graph: what every GTSAM back end shares.
+
+Residuals, noise and tangent are those of the filters: a prior on the first pose, ``log(T_prev_body^-1
+T_{k-1}^-1 T_k)`` for odometry, ``h(T, l) - z`` for observations, each with its full covariance.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+P         covariance of the prior, body tangent, (p, p)
+Q         covariance of an odometry increment, body tangent, (p, p)
+========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import atan2
+from typing import Any, Literal
+
+import gtsam
+import numpy as np
+from gtsam import noiseModel
+from numpy.typing import NDArray
+
+from slamcmp.backends.gtsam_factors import NoiseCache, landmark_key, observation_factors, pose_key
+from slamcmp.errors import DivergedError, UsageError
+from slamcmp.types import TANGENT_DIM, Frame, Landmarks, Problem
+
+FloatArray = NDArray[np.float64]
+
+RobustKernel = Literal["none", "huber", "cauchy", "tukey"]
+"""What the norm of an observation's whitened residual goes through; odometry and prior stay quadratic."""
+
+_WIDTHS = {"huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
+"""Widths with 95 % efficiency on Gaussian data (Zhang 1997, "Parameter estimation techniques", table 1)."""
+
+
+class GraphBuilder:
+    """Turns frames, one after the other, into factors and initial values.
+
+    Raises:
+        UsageError: the prior is singular.
+    """
+
+    def __init__(self, problem: Problem, *, robust: RobustKernel, robust_width: float | None) -> None:
+        require_definite(problem.P, "the prior covariance Problem.P")
+        self.space_dim = problem.sensor.space_dim
+        self.known: set[int] = set()
+        """Ids of the landmarks that already have a variable; discard one to have it initialised anew."""
+        self.next_frame = 0
+        planar = self.space_dim == 2
+        self._sensor = problem.sensor
+        self._prior = _to_gtsam(problem.T_world_body)
+        self._prior_P = problem.P
+        self._prior_factor = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
+        self._between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
+        self._odometry_noise = NoiseCache(_odometry_model)
+        self._observations = observation_factors(problem.sensor, _robust_wrapper(robust, robust_width))
+        self._rows = 0
+
+    def extend(self, frame: Frame, previous: Any) -> tuple[Any, Any]:
+        """The frame's factors, and initial values for its pose and for landmarks seen the first time.
+
+        The pose starts where odometry takes ``previous``, the last pose's estimate (GTSAM; not used at
+        frame 0), and a landmark where the pose's start sees it.
+
+        Raises:
+            UsageError: Q is singular, or the frame does not follow the last one.
+        """
+        k = frame.k
+        if k != self.next_frame:
+            raise UsageError(
+                f"frame {k} came where frame {self.next_frame} was due: feed every frame in order"
+            )
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        key = pose_key(k)
+        if k == 0:
+            predicted = self._prior
+            graph.add(self._prior_factor(key, predicted, noiseModel.Gaussian.Covariance(self._prior_P)))
+        else:
+            increment = _to_gtsam(frame.T_prev_body)
+            predicted = previous.compose(increment)
+            graph.add(self._between(key - 1, key, increment, self._odometry_noise(frame.Q)))
+        values.insert(key, predicted)
+        if frame.ids.size:
+            self._start_new_landmarks(graph, values, predicted, frame)
+            for factor in self._observations.factors(key, frame):
+                graph.add(factor)
+        self.next_frame = k + 1
+        self._rows += TANGENT_DIM[self.space_dim] + frame.z.size
+        return graph, values
+
+    def landmark_ids(self) -> list[int]:
+        """Ids of the landmarks in the graph, sorted."""
+        return sorted(self.known)
+
+    def map(self, values: Any, covariance: Callable[[int], FloatArray], ids: list[int]) -> Landmarks:
+        """The landmarks ``ids`` from GTSAM values and a function from a key to its marginal covariance."""
+        n, how = self.space_dim, self._observations
+        keys = [landmark_key(i) for i in ids]
+        positions = np.array([how.position_of(values, key) for key in keys])
+        covariances = np.array([covariance(key)[how.position, how.position] for key in keys])
+        return Landmarks(
+            np.array(ids, dtype=np.int64), positions.reshape(-1, n), covariances.reshape(-1, n, n)
+        )
+
+    def joint(self, k: int, covariance: Callable[[list[int]], FloatArray], ids: list[int]) -> FloatArray:
+        """Joint covariance (p + n L, p + n L) of pose k and the landmarks ``ids``, in that order.
+
+        ``covariance`` maps keys to their joint marginal covariance, blocks in the order of the keys.
+        """
+        p, how = TANGENT_DIM[self.space_dim], self._observations
+        full = covariance([pose_key(k), *(landmark_key(i) for i in ids)])
+        position = np.arange(how.tangent)[how.position]
+        starts = p + how.tangent * np.arange(len(ids))
+        kept = np.concatenate([np.arange(p), (starts[:, None] + position).ravel()])
+        joint: FloatArray = full[np.ix_(kept, kept)]
+        return joint
+
+    def goodness(self, chi2: float) -> dict[str, float]:
+        """``chi2, dof, chi2_per_dof`` (NaN where dof is 0) of the whole cost so far."""
+        unknowns = TANGENT_DIM[self.space_dim] * self.next_frame + self.space_dim * len(self.known)
+        dof = self._rows - unknowns
+        return {"chi2": chi2, "dof": float(dof), "chi2_per_dof": chi2 / dof if dof > 0 else float("nan")}
+
+    def _start_new_landmarks(self, graph: Any, values: Any, predicted: Any, frame: Frame) -> None:
+        known, how = self.known, self._observations
+        new = [i for i, landmark_id in enumerate(frame.ids.tolist()) if landmark_id not in known]
+        if not new:
+            return
+        positions = self._sensor.invert(predicted.matrix(), frame.z[new])
+        for landmark_id, position in zip(frame.ids[new].tolist(), positions, strict=True):
+            key = landmark_key(landmark_id)
+            values.insert(key, how.value(position))
+            pin = how.pin(key)
+            if pin is not None:
+                graph.add(pin)
+            known.add(landmark_id)
+
+
+def require_definite(covariance: FloatArray, what: str) -> None:
+    """Check that a covariance can be whitened, whatever its units.
+
+    Raises:
+        UsageError: it is singular, or its correlations are within 1e-12 of singular.
+    """
+    deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    if deviations.all():
+        correlation = covariance / np.outer(deviations, deviations)
+        if np.linalg.eigvalsh(correlation)[0] > 1e-12:
+            return
+    raise UsageError(
+        f"{what} is singular, and graph back ends need a positive definite one: give every direction of the "
+        "pose some noise (sideways too; several odometry sub-steps summed do), or use ekf_slam"
+    )
+
+
+def diverged(back_end: str, k: int, error: Exception) -> DivergedError:
+    """A GTSAM failure at frame k as the error that becomes a table row."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    if "ndeterminant" in str(error):
+        cause = (
+            "the linear system is not positive definite: a path within centimetres of a landmark, a landmark "
+            "too weakly observed, or noise of very different sizes; try factorization 'qr', a minimum range "
+            "in the front end, or a larger prior"
+        )
+    else:
+        cause = lines[0] if lines else type(error).__name__
+    return DivergedError(f"{back_end}: GTSAM gave up at frame {k}: {cause}")
+
+
+def require_finite(array: FloatArray, back_end: str, k: int) -> FloatArray:
+    """``array`` itself.
+
+    Raises:
+        DivergedError: an entry is not finite; GTSAM returns such results without complaint.
+    """
+    if not np.isfinite(array).all():
+        raise DivergedError(f"{back_end}: the estimate at frame {k} is not finite")
+    return array
+
+
+def poses_in(values: Any, frames: int, space_dim: int) -> FloatArray:
+    """The poses X(0) … X(frames - 1) of GTSAM values, (frames, n+1, n+1)."""
+    if space_dim == 2:
+        # Sorted by key: landmarks held as poses come first.
+        x, y, theta = gtsam.utilities.extractPose2(values)[-frames:].T
+        T = np.zeros((frames, 3, 3))
+        T[:, 0, 0] = T[:, 1, 1] = np.cos(theta)
+        T[:, 1, 0] = np.sin(theta)
+        T[:, 0, 1] = -T[:, 1, 0]
+        T[:, 0, 2], T[:, 1, 2] = x, y
+    else:
+        rows = gtsam.utilities.extractPose3(values)[-frames:]
+        T = np.zeros((frames, 4, 4))
+        T[:, :3, :3] = rows[:, :9].reshape(-1, 3, 3)
+        T[:, :3, 3] = rows[:, 9:]
+    T[:, -1, -1] = 1.0
+    return T
+
+
+def _to_gtsam(T: FloatArray) -> Any:
+    if T.shape[0] == 3:
+        return gtsam.Pose2(T[0, 2], T[1, 2], atan2(T[1, 0], T[0, 0]))
+    return gtsam.Pose3(T)
+
+
+def _odometry_model(Q: FloatArray) -> Any:
+    require_definite(Q, "the odometry covariance Q of a frame")
+    return noiseModel.Gaussian.Covariance(Q)
+
+
+def _robust_wrapper(kernel: RobustKernel, width: float | None) -> Callable[[Any], Any]:
+    if kernel == "none":
+        if width is not None:
+            raise UsageError("robust_width has no meaning without a kernel: set robust, or drop robust_width")
+        return lambda model: model
+    kinds = {
+        "huber": noiseModel.mEstimator.Huber,
+        "cauchy": noiseModel.mEstimator.Cauchy,
+        "tukey": noiseModel.mEstimator.Tukey,
+    }
+    estimator = kinds[kernel](_WIDTHS[kernel] if width is None else width)
+    return lambda model: noiseModel.Robust(estimator, model)
