@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +71,9 @@ def load_stream(path: Path | str) -> MeasurementStream:
         stream = _rebuild(header, data)
     except DataError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:
+        # A spoilt byte surfaces as whatever zipfile, zlib, json or numpy meet first: zlib.error, BadZipFile,
+        # NotImplementedError (an unknown compression), RuntimeError ("encrypted"), IndexError and more.
         raise DataError(
             f"{path}: not a measurement stream, or damaged ({type(error).__name__}: {error}); "
             "write one with 'slamcmp stream save'"
