@@ -156,12 +156,11 @@ def _split(graph: Graph, ids: list[int], index: dict[int, int]) -> tuple[dict[in
         a, b = index[edge.first], index[edge.second]
         if a == b:
             raise DataError(f"{edge.where}: an edge from pose {edge.first} to itself; two poses are needed")
-        forward = edge if a < b else turned(edge)
         later = max(a, b)
         if abs(a - b) == 1 and later not in odometry:
-            odometry[later] = forward
+            odometry[later] = edge if a < b else turned(edge)
         else:
-            loops.append(turned(forward))
+            loops.append(edge if a > b else turned(edge))
     for k in range(1, len(ids)):
         if k not in odometry:
             raise DataError(
