@@ -89,9 +89,9 @@ def test_stream_starts_with_the_identity():
 
 
 def test_problem_prior_must_be_a_covariance():
-    with pytest.raises(DataError, match="Problem.P: a covariance is not positive semi-definite"):
+    with pytest.raises(DataError, match=r"Problem\.P: a covariance is not positive semi-definite"):
         problem(P=-np.eye(3))
-    with pytest.raises(DataError, match="Problem.T_world_body: has entries that are not finite"):
+    with pytest.raises(DataError, match=r"Problem\.T_world_body: has entries that are not finite"):
         problem(T_world_body=np.full((3, 3), np.inf))
     with pytest.raises(DataError, match=r"Problem.T_world_body: shape \(3, 3\)"):
         problem(sensor=RelativePosition(space_dim=3))
@@ -134,7 +134,7 @@ def test_log_lengths():
         Log("x", problem(), t, T, Q, (none,))
     with pytest.raises(DataError, match="1 poses for 2 frames"):
         Log("x", problem(), t, T, Q, (none, none), truth)
-    with pytest.raises(DataError, match="Log.Q"):
+    with pytest.raises(DataError, match=r"Log\.Q"):
         Log("x", problem(), t, T, Q[:1], (none, none))
 
 

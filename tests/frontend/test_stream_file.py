@@ -110,7 +110,7 @@ def test_truncated_and_foreign_files_are_refused(tmp_path, planar):
     whole = path.read_bytes()
     for size in (0, 10, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:size])
-        with pytest.raises(DataError, match="stream.npz"):
+        with pytest.raises(DataError, match=r"stream\.npz"):
             load_stream(path)
     path.write_text("VERTEX_SE2 0 0 0 0\n")
     with pytest.raises(DataError, match="not a measurement stream"):
