@@ -137,6 +137,7 @@ class _Collected:
         self.series: dict[str, FloatArray] = {}
         self.done = 0
         self._checked = 0
+        self._fault: str | None = None
 
     def note(self, k: int, values: Mapping[str, float]) -> None:
         series = self.series
@@ -153,11 +154,11 @@ class _Collected:
         """Say what is wrong with the first unusable estimate and drop it with all that follows."""
         start, end = self._checked, self.done
         fault = first_fault(self.poses[start:end], self.covariances[start:end])
-        if fault is None:
-            self._checked = end
-            return None
-        self.done = start + fault[0]
-        return f"frame {self.done}: {fault[1]}"
+        self._checked = end
+        if fault is not None and self._fault is None:
+            self.done = self._checked = start + fault[0]
+            self._fault = f"frame {self.done}: {fault[1]}"
+        return self._fault
 
     def fields(self) -> dict[str, Any]:
         done = slice(self.done)

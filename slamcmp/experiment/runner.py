@@ -13,7 +13,7 @@ import numpy as np
 
 import slamcmp.errors
 from slamcmp.errors import SlamcmpError
-from slamcmp.experiment.atomic import StorageError
+from slamcmp.experiment.atomic import StorageError, storage_error
 from slamcmp.experiment.config import Experiment, load_experiment
 from slamcmp.experiment.content_key import versions
 from slamcmp.experiment.executors import Ended, Executor
@@ -234,7 +234,10 @@ class _Schedule:
                 time_limit_s=job.time_limit_s,
                 memory_limit_mb=self._memory_limit_mb,
             )
-        task.result.unlink(missing_ok=True)
+        try:
+            task.result.unlink(missing_ok=True)
+        except OSError as error:
+            raise storage_error(task.result, error) from error
         self._watcher.started(task.key, self._names[task.key], frames)
         self._workers.start(task)
 

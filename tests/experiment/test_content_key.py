@@ -1,0 +1,76 @@
+"""Keys: they follow what computes a result, and nothing else."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from slamcmp.errors import MissingDataError
+from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.content_key import PACKAGE, code_version, import_closure
+from slamcmp.experiment.trials import make_trials
+from slamcmp.registry import sources
+
+
+def test_closure_of_a_back_end_holds_its_models_and_no_other_back_end() -> None:
+    names = {
+        str(path.relative_to(PACKAGE)) for path in import_closure([PACKAGE / "backends" / "ekf_slam.py"])
+    }
+    assert {"backends/ekf_slam.py", "types.py", "geometry.py", "registry.py"} <= names
+    assert not any("gtsam" in name or "isam2" in name or name.startswith("report") for name in names)
+
+
+def test_what_reports_is_no_part_of_what_computes() -> None:
+    reached = import_closure([PACKAGE / "experiment" / "worker.py"])
+    names = {path.name for path in reached}
+    assert {"run_back_end.py", "worker.py", "run_file.py"} <= names
+    assert not names & {"runner.py", "cli.py", "progress.py", "store.py", "executors.py"}
+
+
+def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("import helper\n")
+    (tmp_path / "helper.py").write_text("GATE = 9\n")
+    (tmp_path / "other.py").write_text("x = 1\n")
+    first = code_version([tmp_path / "mine.py"])
+    (tmp_path / "other.py").write_text("x = 22\n")
+    assert code_version([tmp_path / "mine.py"]) == first
+    (tmp_path / "helper.py").write_text("GATE = 16\n")
+    assert code_version([tmp_path / "mine.py"]) != first
+
+
+def keys(path: Path) -> tuple[str, list[str]]:
+    (trial,) = make_trials(load_experiment(path))
+    return trial.stream.key, [job.key for job in trial.runs]
+
+
+def test_keys_follow_parameters_but_not_labels(write_experiment) -> None:
+    both = [{"name": "DeadReckoning", "at": 3}, "Hindsight"]
+    stream, runs = keys(write_experiment(back_ends=both))
+    renamed = [{"name": "DeadReckoning", "at": 3, "label": "mine"}, "Hindsight"]
+    assert keys(write_experiment(back_ends=renamed)) == (stream, runs)
+    changed = [{"name": "DeadReckoning", "at": 4}, "Hindsight"]
+    assert keys(write_experiment(back_ends=changed))[0] == stream
+    assert keys(write_experiment(back_ends=changed))[1][0] != runs[0]
+    assert keys(write_experiment(back_ends=changed))[1][1] == runs[1]
+    other_seed, other_runs = keys(write_experiment(back_ends=both, seeds=[1]))
+    assert other_seed != stream
+    assert not set(other_runs) & set(runs)
+    # A default that is spelt out is the same experiment.
+    spelt = [{"name": "DeadReckoning", "at": 3, "pause_s": 0.0}, "Hindsight"]
+    assert keys(write_experiment(back_ends=spelt)) == (stream, runs)
+
+
+def test_keys_follow_the_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = tmp_path / "log.txt"
+    data.write_text("1")
+    plugin = sources.get("victoria_park")
+    monkeypatch.setitem(plugin.traits, "files", lambda **_: [data])
+    path = tmp_path / "e.yaml"
+    path.write_text("source: {name: victoria_park}\nback_ends: [{name: ekf_slam}]\n")
+    first = keys(path)
+    data.write_text("22")
+    assert keys(path)[0] != first[0]
+    data.unlink()
+    with pytest.raises(MissingDataError, match=r"log\.txt"):
+        keys(path)
