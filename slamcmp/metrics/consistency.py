@@ -46,7 +46,7 @@ _DIAGNOSTIC: dict[str, Any] = {
 }
 
 
-@metrics.register("pose_nees", header="pose NEES (expect 3 in 2-D, 6 in 3-D)", **_NEES)
+@metrics.register("pose_nees", header="pose NEES", **_NEES)
 def pose_nees(trajectory: Trajectory, truth: GroundTruth) -> float:
     """Mean NEES of the pose over the frames; expected 3 in the plane, 6 in space."""
     return _mean(nees_series(trajectory, truth))
@@ -92,7 +92,7 @@ def nees_skipped_frames(trajectory: Trajectory, truth: GroundTruth) -> float:
 @metrics.register(
     "landmark_nees",
     unit="1",
-    header="landmark NEES (expect 2 in 2-D, 3 in 3-D)",
+    header="landmark NEES",
     needs=frozenset({"truth", "covariance", "landmarks"}),
     scope="run",
     lower_is_better=None,
@@ -105,7 +105,7 @@ def landmark_nees(run: Run, truth: GroundTruth) -> float:
 @metrics.register(
     "joint_nees_per_dof",
     unit="1",
-    header="joint NEES/dof (expect 1)",
+    header="joint NEES/dof",
     needs=frozenset({"truth", "covariance", "landmarks", "joint"}),
     scope="run",
     lower_is_better=None,
@@ -131,7 +131,7 @@ def joint_nees_per_dof(run: Run, truth: GroundTruth) -> float:
     return value / error.size
 
 
-@metrics.register("nis_per_dof", header="NIS/dof (expect 1)", **_DIAGNOSTIC)
+@metrics.register("nis_per_dof", header="NIS/dof", **_DIAGNOSTIC)
 def nis_per_dof(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
     """Total normalised innovation squared over its total degrees of freedom; expected 1."""
     nis, dof = run.diagnostics.get("nis"), run.diagnostics.get("nis_dof")
@@ -142,7 +142,7 @@ def nis_per_dof(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: A
     return float(nis[used].sum()) / total if total > 0 else math.nan
 
 
-@metrics.register("chi2_per_dof", header="χ²/dof (expect 1)", **_DIAGNOSTIC)
+@metrics.register("chi2_per_dof", header="χ²/dof", **_DIAGNOSTIC)
 def chi2_per_dof(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
     """Chi-square of the final solution's residuals over its degrees of freedom; expected 1."""
     chi2, dof = run.final_diagnostics.get("chi2", math.nan), run.final_diagnostics.get("dof", math.nan)

@@ -38,8 +38,10 @@ def plot_budget(results: Results) -> Figure:
     if not kinds:
         raise NotDrawable("no finished run has an ATE: the log has no truth and no reference was named")
     reference = reference_name(results)
-    figure = style.new_figure(4.75 * len(kinds) + 0.5, 4.4, "What does accuracy cost?")
-    grid = figure.subplots(1, len(kinds), sharey=True, squeeze=False)[0]
+    joined = swept_columns(trials)
+    title = "What does accuracy cost?" + (f" Joined: {' and '.join(joined)}" if joined else "")
+    figure = style.new_figure(4.75 * len(kinds) + 0.5, 4.4, title)
+    grid = figure.subplots(1, len(kinds), sharex=True, sharey=True, squeeze=False)[0]
     shown: set[str] = set()
     for which, axes in zip(kinds, grid, strict=True):
         shown |= _draw_budget(axes, results, trials, which)
@@ -83,7 +85,7 @@ def _draw_budget(axes: Axes, results: Results, trials: pd.DataFrame, which: str)
             yerr=[middle["error_m"] - low["error_m"], high["error_m"] - middle["error_m"]],
             color=colour,
             marker=marker,
-            markersize=8,
+            markersize=5.0 + 2.0 * style.widths(results)[str(label)],
             markeredgecolor="white",
             linewidth=0.9,
             linestyle="-" if len(middle) <= 12 else "",

@@ -74,13 +74,15 @@ def _draw_nees(axes: Axes, results: Results, frames: pd.DataFrame, which: str) -
             continue
         mean = own.groupby("t")[column].mean()
         shown[label] = int(own["trial"].nunique())
-        axes.plot(mean.index, mean, color=style.colours(results)[label], linewidth=1.0)
+        axes.plot(
+            mean.index, mean, color=style.colours(results)[label], linewidth=style.widths(results)[label]
+        )
     # The widest of the bands: with fewer runs an average strays further.
     runs = min(shown.values())
     low, high = average_band(dof, runs)
     axes.axhspan(low, high, color=style.BAND, alpha=0.5, linewidth=0, zorder=0.5)
     axes.axhline(dof, color="#444444", linewidth=0.7, zorder=0.6)
-    axes.set_yscale("log")
+    style.log_axis(axes)
     axes.set_ylabel("pose NEES")
     average = "one run" if runs == 1 else f"mean of {runs} runs"
     axes.set_title(f"{which} pose NEES, {average}: expected {dof}, 95 % in [{low:.2f}, {high:.2f}]")
@@ -102,9 +104,15 @@ def _draw_nis(axes: Axes, results: Results, frames: pd.DataFrame) -> dict[str, i
                 time, low / dof, high / dof, step="mid", color=style.BAND, alpha=0.5, linewidth=0, zorder=0.5
             )
             banded = True
-        axes.plot(time, ratio, color=style.colours(results)[label], drawstyle="steps-mid", linewidth=1.0)
+        axes.plot(
+            time,
+            ratio,
+            color=style.colours(results)[label],
+            drawstyle="steps-mid",
+            linewidth=style.widths(results)[label],
+        )
     axes.axhline(1.0, color="#444444", linewidth=0.7, zorder=0.6)
-    axes.set_yscale("log")
+    style.log_axis(axes)
     axes.set_ylabel("NIS / dof")
     axes.set_title("NIS per degree of freedom, summed over neighbouring frames and all runs: expected 1")
     return shown

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from slamcmp.experiment.store import Results
@@ -48,6 +49,12 @@ def markers(results: Results) -> dict[str, str]:
     return {label: MARKERS[(i + i // len(PALETTE)) % len(MARKERS)] for i, label in enumerate(labels(results))}
 
 
+def widths(results: Results) -> dict[str, float]:
+    """Line widths that shrink in drawing order: where two back ends agree, the lower one stays visible."""
+    known = labels(results)
+    return {label: (1.0, 2.1, 2.9, 3.5)[min(3, len(known) - 1 - i)] for i, label in enumerate(known)}
+
+
 def new_figure(width: float, height: float, title: str) -> Figure:
     """An empty figure [inch] with its title at the left."""
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -69,4 +76,19 @@ def log_if_wide(axes: Axes, values: NDArray[np.float64], axis: str = "y", ratio:
     """Logarithmic axis where positive values span more than ``ratio``."""
     values = values[np.isfinite(values)]
     if values.size and values.min() > 0 and values.max() > ratio * values.min():
-        (axes.set_yscale if axis == "y" else axes.set_xscale)("log")
+        log_axis(axes, axis)
+
+
+def log_axis(axes: Axes, axis: str = "y") -> None:
+    """Logarithmic axis with plain numbers (0.3 instead of 3·10⁻¹)."""
+    (axes.set_yscale if axis == "y" else axes.set_xscale)("log")
+    ruler = axes.yaxis if axis == "y" else axes.xaxis
+    ruler.set_major_formatter(PlainLog())
+    ruler.set_minor_formatter(PlainLog(minor_thresholds=(1.3, 0.5)))
+
+
+class PlainLog(LogFormatter):
+    """Ticks of a logarithmic axis as plain numbers."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""

@@ -27,7 +27,7 @@ from slamcmp.report.selection import (
 PANELS = (
     ("ate", "ATE [m]"),
     ("heading_rmse_deg", "heading RMSE [deg]"),
-    ("pose_nees", "pose NEES"),
+    ("pose_nees", "pose NEES (dotted: expected)"),
     ("ms", "time [ms per frame]"),
 )
 
@@ -81,7 +81,7 @@ def plot_sweep(results: Results) -> Figure:
 def quartiles_by(rows: pd.DataFrame, path: str, column: str) -> pd.DataFrame:
     """Quartiles (columns 0.25, 0.5, 0.75) of a metric over the finished runs at each swept value."""
     ok = rows[(rows["status"] == "ok") & rows[column].notna()]
-    return ok.groupby(path)[column].quantile(np.array([0.25, 0.5, 0.75])).unstack()
+    return ok.groupby(path, sort=False)[column].quantile(np.array([0.25, 0.5, 0.75])).unstack()
 
 
 def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, metric: str) -> None:
@@ -94,14 +94,21 @@ def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, me
             if not has_values(own[own["status"] == "ok"], [column]):
                 continue
             table = quartiles_by(own, path, column)
+            # Along the axis, where names stand in the order of the sweep.
+            table = table.loc[[value for value in positions if value in table.index]]
             x = [positions[value] for value in table.index]
             colour, marker = style.colours(results)[label], style.markers(results)[label]
             axes.fill_between(x, table[0.25], table[0.75], color=colour, alpha=0.15, linewidth=0)
             solid = "-" if metric == "ms" else line
-            axes.plot(x, table[0.5], color=colour, linestyle=solid, marker=marker, markersize=4)
+            width = style.widths(results)[label]
+            options: dict[str, Any] = {"linestyle": solid, "marker": marker, "markersize": 2.5 + 1.5 * width}
+            axes.plot(x, table[0.5], color=colour, linewidth=width, **options)
             drawn.append(table.to_numpy(dtype=float).ravel())
     if drawn:
-        style.log_if_wide(axes, np.concatenate(drawn))
+        style.log_if_wide(axes, np.concatenate(drawn), ratio=4.0)
+    if metric == "pose_nees":
+        expected = 6 if has_values(results.frames, ["online_err_5"]) else 3
+        axes.axhline(expected, color="#444444", linewidth=0.8, linestyle=":", zorder=0.6)
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in positions):
         style.log_if_wide(axes, np.array(list(positions.values()), dtype=float), "x", 5.0)
     axes.set_xticks(list(positions.values()), [value_text(value) for value in positions])
@@ -119,6 +126,10 @@ def _positions(values: pd.Series[Any]) -> dict[Any, float]:
 def _count_failures(axes: Axes, results: Results, rows: pd.DataFrame, path: str) -> None:
     positions = _positions(rows[path])
     failed = rows[rows["status"] != "ok"]
+    if failed.empty:
+        return
+    # Room above the curves for the counts.
+    axes.margins(y=0.2)
     for line, label in enumerate(labels(results)):
         for value, count in failed[failed["label"] == label].groupby(path).size().items():
             axes.annotate(

@@ -79,5 +79,5 @@ def _draw_times(axes: Axes, results: Results, table: pd.DataFrame, against: str,
             continue
         position, median, high = binned_times(own, against, kind)
         axes.plot(position, high, color=colour, alpha=0.4, linewidth=0.8)
-        axes.plot(position, median, color=colour, marker="." if len(position) < 12 else "")
-    axes.set_yscale("log")
+        axes.plot(position, median, color=colour, linewidth=style.widths(results)[label])
+    style.log_axis(axes)

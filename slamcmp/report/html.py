@@ -1,0 +1,206 @@
+"""The report: one HTML file that needs no network, no server and no other file."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import pandas as pd
+
+from slamcmp.experiment.store import Results
+from slamcmp.report.cautions import cautions
+from slamcmp.report.figures import each_figure, figure_bytes
+from slamcmp.report.selection import reference_name, swept_columns, value_text
+from slamcmp.report.summary import paired_table, summary_columns, summary_table
+
+SVG_LIMIT = 300_000
+"""Bytes above which a figure goes in as PNG: a long log's SVG makes the page slow."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A table cell: what is read, and what it is sorted by."""
+
+    text: str
+    order: str = ""
+    numeric: bool = False
+    title: str = ""
+    status: str = ""
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """A figure as the page embeds it."""
+
+    name: str
+    title: str
+    caption: str
+    source: str
+    """A data URI."""
+    reason: str
+
+
+def write_report(results: Results, path: Path | str) -> Path:
+    """Write the report of a results folder to ``path`` and return it."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(report_html(results), encoding="utf-8")
+    temporary.replace(path)
+    return path
+
+
+def report_html(results: Results) -> str:
+    """The page as text."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("slamcmp.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    columns = summary_columns(results)
+    summary = summary_table(results)
+    paired = paired_table(results)
+    swept = swept_columns(results.trials)
+    manifest = results.manifest
+    shown = [_embed(drawn) for drawn in each_figure(results)]
+    return environment.get_template("report.html.j2").render(
+        name=manifest.get("name", results.folder.name),
+        question=manifest.get("question") or "",
+        description=manifest.get("description") or "",
+        reference=reference_name(results),
+        cautions=cautions(results),
+        key_headers=[name for name in summary.columns if name not in {c.full_header for c in columns}],
+        groups=_groups([column.group for column in columns]),
+        columns=columns,
+        summary_rows=_rows(summary, swept),
+        paired_headers=list(paired.columns),
+        paired_rows=_rows(paired, swept),
+        figures=[figure for figure in shown if figure.source],
+        skipped=[figure for figure in shown if not figure.source],
+        trial_headers=_trial_headers(results),
+        trial_rows=_trial_rows(results),
+        facts=_facts(manifest),
+        versions=sorted(manifest.get("versions", {}).items()),
+        config=json.dumps(manifest.get("config", {}), indent=2, default=str, ensure_ascii=False),
+    )
+
+
+def cell(value: Any) -> Cell:
+    """A value as a table shows it: numbers with three significant digits, missing ones as a dash."""
+    if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)):
+        return Cell("–", "", True)
+    if isinstance(value, bool | np.bool_ | str):
+        return Cell(str(value), str(value))
+    if isinstance(value, int | np.integer):
+        return Cell(str(value), str(value), True)
+    if isinstance(value, float | np.floating):
+        return Cell(number_text(float(value)), repr(float(value)), True)
+    return Cell(value_text(value), str(value))
+
+
+def swept_cell(value: Any) -> Cell:
+    """A swept value as the configuration has it, not rounded."""
+    known = cell(value)
+    return known if known.text == "–" else replace(known, text=value_text(value))
+
+
+def number_text(value: float) -> str:
+    """Three significant digits, without an exponent between 0.001 and 100 000."""
+    if abs(value) < 1e-12:
+        # What rounding leaves of the reference's difference from itself.
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        digits = max(0, 2 - int(np.floor(np.log10(abs(value)))))
+        return f"{value:.{digits}f}"
+    return f"{value:.2e}"
+
+
+def _rows(table: pd.DataFrame, swept: list[str]) -> list[list[Cell]]:
+    return [
+        [swept_cell(value) if name in swept else cell(value) for name, value in row.items()]
+        for row in table.to_dict("records")
+    ]
+
+
+def _embed(drawn: Any) -> ReportFigure:
+    source = ""
+    if drawn.figure is not None:
+        content, kind = figure_bytes(drawn.figure, "svg"), "svg+xml"
+        if len(content) > SVG_LIMIT:
+            content, kind = figure_bytes(drawn.figure, "png"), "png"
+        source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
+    return ReportFigure(drawn.name, drawn.title, drawn.caption, source, drawn.reason)
+
+
+def _groups(names: list[str]) -> list[tuple[str, int]]:
+    """Runs of equal group names with their lengths."""
+    groups: list[tuple[str, int]] = []
+    for name in names:
+        if groups and groups[-1][0] == name:
+            groups[-1] = (name, groups[-1][1] + 1)
+        else:
+            groups.append((name, 1))
+    return groups
+
+
+def _trial_headers(results: Results) -> list[str]:
+    swept = swept_columns(results.trials)
+    metrics = [column.full_header for column in summary_columns(results)]
+    return ["trial", "seed", *swept, "back end", "status", "completion", "message", "stream", *metrics]
+
+
+def _trial_rows(results: Results) -> list[list[Cell]]:
+    swept = swept_columns(results.trials)
+    metrics = [column.name for column in summary_columns(results)]
+    rows = []
+    for row in results.trials.to_dict("records"):
+        status, digest = str(row["status"]), str(row["digest"])
+        rows.append(
+            [
+                cell(row["trial"]),
+                cell(row["seed"]),
+                *(swept_cell(row[path]) for path in swept),
+                cell(row["label"]),
+                Cell(status, status, status="ok" if status == "ok" else "bad"),
+                Cell(f"{100 * row['completion']:.0f} %", repr(float(row["completion"])), True),
+                cell(str(row["message"] or "")),
+                Cell(digest[:12], digest, title=digest),
+                *(cell(row[name]) for name in metrics),
+            ]
+        )
+    return rows
+
+
+def _facts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What is needed to repeat the experiment, as far as the manifest knows it."""
+    names = {
+        "command": "Command",
+        "commit": "Commit",
+        "created": "Started",
+        "finished": "Finished",
+        "wall_s": "Wall time [s]",
+        "jobs": "Worker processes",
+        "cpu": "Processor",
+        "platform": "Platform",
+        "python": "Python",
+        "seeds": "Seeds",
+    }
+    facts = []
+    for key, title in names.items():
+        value = manifest.get(key)
+        if value is None or value == "":
+            continue
+        if isinstance(value, float):
+            value = f"{value:.1f}"
+        if isinstance(value, list):
+            value = " ".join(str(each) for each in value)
+        facts.append((title, str(value)))
+    return facts

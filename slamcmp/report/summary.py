@@ -1,0 +1,147 @@
+"""The experiment in one table: medians over the seeds of each grid point, failed runs counted beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+from scipy.special import bdtr
+
+from slamcmp.experiment.store import Results
+from slamcmp.metrics import metric_columns
+from slamcmp.report.selection import at_point, grid_points, has_values, labels, swept_columns
+
+TRAJECTORY_METRICS = ("ate", "ate_aligned", "heading_rmse_deg", "pose_nees")
+RUN_METRICS = (
+    "landmark_rmse",
+    "landmark_nees",
+    "joint_nees_per_dof",
+    "nis_per_dof",
+    "chi2_per_dof",
+    "update_median_ms",
+    "update_p95_ms",
+    "update_s",
+    "estimate_s",
+    "peak_memory_mb",
+)
+STATUSES = ("diverged", "crashed", "timed_out")
+ENOUGH_SEEDS = 5
+"""Below this many runs per grid point medians and tests say little."""
+
+
+@dataclass(frozen=True)
+class SummaryColumn:
+    """A metric column that has values in these results."""
+
+    name: str
+    """In the trials table."""
+    group: str
+    """``online``, ``final``, or ``""`` for the whole run."""
+    header: str
+    """With the unit, without the group."""
+    description: str
+
+    @property
+    def full_header(self) -> str:
+        """The heading where no group stands above it."""
+        return f"{self.group} {self.header}".strip()
+
+
+def summary_table(results: Results) -> pd.DataFrame:
+    """One row per grid point and back end: counts of runs, then medians over the runs that are ok.
+
+    Every error column says whether it scores the online or the final trajectory; ``failed`` names the
+    statuses of the runs that are in no median.
+    """
+    columns = summary_columns(results)
+    rows: list[dict[str, Any]] = []
+    for point in grid_points(results.trials):
+        here = at_point(results.trials, point)
+        for label in labels(results):
+            own = here[here["label"] == label]
+            if own.empty:
+                continue
+            ok = own[own["status"] == "ok"]
+            failed = [
+                f"{int((own['status'] == s).sum())} {s}" for s in STATUSES if (own["status"] == s).any()
+            ]
+            rows.append(
+                {
+                    "back end": label,
+                    **point,
+                    "runs": len(own),
+                    "ok": len(ok),
+                    "failed": ", ".join(failed),
+                    "reference": ", ".join(sorted(own["reference"].dropna().astype(str).unique())),
+                    **{column.full_header: ok[column.name].median() for column in columns},
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def summary_columns(results: Results) -> list[SummaryColumn]:
+    """The metric columns of the summary that have a value, online before final before the whole run's."""
+    known = metric_columns()
+    space = "SE(3)" if has_values(results.frames, ["online_err_5"]) else "SE(2)"
+    names = [f"{which}_{metric}" for which in ("online", "final") for metric in TRAJECTORY_METRICS]
+    columns = []
+    for name in [*names, *RUN_METRICS]:
+        if name not in known or not has_values(results.trials, [name]):
+            continue
+        metric = known[name]
+        header = metric.header.replace("SE-aligned", f"{space}-aligned")
+        unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+        columns.append(SummaryColumn(name, metric.trajectory, header + unit, metric.description))
+    return columns
+
+
+def paired_table(results: Results) -> pd.DataFrame:
+    """ATE of each back end over that of the first one on the same stream, trial by trial.
+
+    One row per grid point, trajectory and back end: pairs, median ratio, pairs in which it was better, and
+    the two-sided sign test's p value where there are enough pairs. The reference itself is left out.
+    """
+    rows: list[dict[str, Any]] = []
+    swept = swept_columns(results.trials)
+    for point in grid_points(results.trials):
+        here = at_point(results.trials, point)
+        for which in ("online", "final"):
+            errors = _errors_by_trial(here, f"{which}_ate")
+            compared = [label for label in labels(results) if label in errors.columns]
+            for label in compared[1:]:
+                pairs = errors[[compared[0], label]].dropna()
+                if pairs.empty:
+                    continue
+                ratio = pairs[label] / pairs[compared[0]]
+                better = int((ratio < 1).sum())
+                rows.append(
+                    {
+                        **{path: point[path] for path in swept},
+                        "trajectory": which,
+                        "back end": label,
+                        "compared with": compared[0],
+                        "pairs": len(pairs),
+                        "median ATE ratio": float(ratio.median()),
+                        "better in": better,
+                        "sign test p": _sign_test(better, int((ratio > 1).sum())),
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def _errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Trials by labels; failed runs and the reference's own zero are left out."""
+    if column not in rows.columns:
+        return pd.DataFrame()
+    used = rows[(rows["status"] == "ok") & (rows[column] > 0)]
+    itself = (used["reference"] == used["label"] + " (final)") & column.startswith("final")
+    return used[~itself].pivot(index="trial", columns="label", values=column)
+
+
+def _sign_test(better: int, worse: int) -> float:
+    """Two-sided p value under a fair coin; NaN below the number of pairs where it can say anything."""
+    pairs = better + worse
+    if pairs < ENOUGH_SEEDS:
+        return float("nan")
+    return min(1.0, 2.0 * float(bdtr(min(better, worse), pairs, 0.5)))
