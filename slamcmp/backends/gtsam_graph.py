@@ -54,7 +54,7 @@ class GraphBuilder:
         self._prior_P = problem.P
         self._prior_factor = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
         self._between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
-        self._odometry_noise = NoiseCache(_odometry_model)
+        self._odometry_noise = NoiseCache(self._odometry_model)
         self._observations = observation_factors(problem.sensor, _robust_wrapper(robust, robust_width))
         self._rows = 0
 
@@ -122,6 +122,10 @@ class GraphBuilder:
         unknowns = TANGENT_DIM[self.space_dim] * self.next_frame + self.space_dim * len(self.known)
         dof = self._rows - unknowns
         return {"chi2": chi2, "dof": float(dof), "chi2_per_dof": chi2 / dof if dof > 0 else float("nan")}
+
+    def _odometry_model(self, Q: FloatArray) -> Any:
+        require_definite(Q, f"the odometry covariance Q of frame {self.next_frame}")
+        return noiseModel.Gaussian.Covariance(Q)
 
     def _start_new_landmarks(self, graph: Any, values: Any, predicted: Any, frame: Frame) -> None:
         known, how = self.known, self._observations
@@ -203,11 +207,6 @@ def _to_gtsam(T: FloatArray) -> Any:
     if T.shape[0] == 3:
         return gtsam.Pose2(T[0, 2], T[1, 2], atan2(T[1, 0], T[0, 0]))
     return gtsam.Pose3(T)
-
-
-def _odometry_model(Q: FloatArray) -> Any:
-    require_definite(Q, "the odometry covariance Q of a frame")
-    return noiseModel.Gaussian.Covariance(Q)
 
 
 def _robust_wrapper(kernel: RobustKernel, width: float | None) -> Callable[[Any], Any]:
