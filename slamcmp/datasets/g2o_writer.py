@@ -2,8 +2,9 @@
 
 Vertices share one numbering in g2o: landmarks keep their ids, poses follow after the largest of them.
 Lines stand in the order in which the robot lived them: each pose's odometry, then what it saw. Bearing-range
-edges are lines ``EDGE_BEARING_RANGE_SE2_XY i l bearing range I11 I12 I22``, a kind g2o itself lacks; time
-stamps are comments. :func:`~slamcmp.datasets.graph_reader.read_graph` reads all of it back.
+edges are lines ``EDGE_BEARING_RANGE_SE2_XY i l bearing range I11 I12 I22``, a kind g2o itself lacks; the
+sensor's name and the time stamps are comments, all at the end, since gtsam's reader can lose every edge that
+follows a comment. :func:`~slamcmp.datasets.graph_reader.read_graph` reads all of it back.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp.datasets.graph_reader import TIME_COMMENT
+from slamcmp.datasets.graph_reader import SENSOR_COMMENT, TIME_COMMENT
 from slamcmp.errors import DataError
 from slamcmp.geometry import dead_reckoning, quaternion, se2_coordinates
 from slamcmp.types import Frame, IntArray, Landmarks, Log, MeasurementStream
@@ -78,6 +79,7 @@ class _Writer:
             raise DataError(f"sensor {sensor_name!r} in {space_dim}-D has no edge in a g2o file")
         self._flat = space_dim == 2
         self._bearing = sensor_name == "range_bearing"
+        self._sensor = sensor_name
         self._offset = offset
 
     def lines(
@@ -102,10 +104,12 @@ class _Writer:
             yield _line("EDGE_SE3_PRIOR", [self._offset, 0], self._pose(prior), information)
         for frame in frames:
             yield from self._frame(frame)
+        yield f"{SENSOR_COMMENT} {self._sensor}"
+        for frame in frames:
+            yield _line(TIME_COMMENT, [self._offset + frame.k], [frame.t])
 
     def _frame(self, frame: Frame) -> Iterator[str]:
         here = self._offset + frame.k
-        yield _line(TIME_COMMENT, [here], [frame.t])
         if frame.k:
             information = self._pose_information(frame.Q, f"Q of frame {frame.k}")
             edge = "EDGE_SE2" if self._flat else "EDGE_SE3:QUAT"

@@ -86,6 +86,8 @@ class Graph:
     prior: Prior | None = None
     times: dict[int, float] = field(default_factory=dict)
     """Time stamps of poses [s], where the file has them."""
+    sensor: SensorName | None = None
+    """Where the file names it; else the landmark edges tell."""
     equivalent: list[tuple[int, int]] = field(default_factory=list)
     """Pairs of poses declared to be at the same place."""
 
@@ -143,7 +145,10 @@ def _sensor_name(graph: Graph) -> SensorName:
     if len(names) > 1:
         places = " and ".join(f"{edge.sensor} ({edge.where})" for edge in names.values())
         raise DataError(f"{graph.path}: mixes landmark edges of two kinds, {places}; one kind is needed")
-    return next(iter(names), "relative_position")
+    found = next(iter(names), None)
+    if graph.sensor and found and graph.sensor != found:
+        raise DataError(f"{names[found].where}: a {found} edge in a file that names {graph.sensor}")
+    return found or graph.sensor or "relative_position"
 
 
 def _split(graph: Graph, ids: list[int], index: dict[int, int]) -> tuple[dict[int, PoseEdge], list[PoseEdge]]:

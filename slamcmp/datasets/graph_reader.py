@@ -28,16 +28,19 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp.datasets.graph import Graph, LandmarkEdge, PoseEdge, Prior
+from slamcmp.datasets.graph import Graph, LandmarkEdge, PoseEdge, Prior, SensorName
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.geometry import pose, rotation_from_quaternion, se2
+from slamcmp.geometry import pose, rotation_from_quaternion, se2, wrap
 
 FloatArray = NDArray[np.float64]
 Noise = Literal["auto", "information", "square_root_information", "covariance"]
 Value = TypeVar("Value")
 
-TIME_COMMENT = "# slamcmp time"
-"""Start of a comment line ``# slamcmp time ID SECONDS`` that gives a pose its time stamp."""
+TIME_COMMENT = "#slamcmp-time"
+"""Start of a comment line ``#slamcmp-time ID SECONDS`` that gives a pose its time stamp."""
+
+SENSOR_COMMENT = "#slamcmp-sensor"
+"""Start of a comment line ``#slamcmp-sensor NAME``, for graphs that may hold no observation at all."""
 
 _TORO_ORDER = (0, 1, 4, 2, 5, 3)
 """Where the upper triangle, row by row, stands in TORO's I11 I12 I22 I33 I13 I23."""
@@ -155,6 +158,9 @@ class _Reader:
             if text.startswith(TIME_COMMENT):
                 self._time(f"{self._path}:{number}", text)
                 continue
+            if text.startswith(SENSOR_COMMENT):
+                self._sensor(f"{self._path}:{number}", text)
+                continue
             tag, *fields = text.split("#", 1)[0].split() or [""]
             if not tag:
                 continue
@@ -207,7 +213,17 @@ class _Reader:
 
     def _time(self, where: str, text: str) -> None:
         line = _Line(where, TIME_COMMENT, text[len(TIME_COMMENT) :].split(), "id seconds", 2)
-        self._graph.times[line.id()] = line.numbers(1)[0]
+        _insert(self._graph.times, line.id(), line.numbers(1)[0], line)
+
+    def _sensor(self, where: str, text: str) -> None:
+        name = text[len(SENSOR_COMMENT) :].strip()
+        known: dict[str, SensorName] = {
+            "range_bearing": "range_bearing",
+            "relative_position": "relative_position",
+        }
+        if name not in known:
+            raise DataError(f"{where}: sensor {name!r}; range_bearing or relative_position is needed")
+        self._graph.sensor = known[name]
 
     def _vertex_2d(self, line: _Line) -> None:
         _insert(self._graph.poses, line.id(), se2(*line.floats(3)), line)
@@ -258,6 +274,9 @@ class _Reader:
     ) -> None:
         if not z[1] > 0:
             raise DataError(f"{line.where}: the range is {z[1]}; a positive one is needed")
+        # example.graph in the wheel has bearings beyond half a turn.
+        if abs(z[0]) > np.pi:
+            z[0] = wrap(z[0])
         edge = LandmarkEdge(
             pose_id, landmark, "range_bearing", z[::-1].copy(), covariance[::-1, ::-1].copy(), line.where
         )
