@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp import cli_results, cli_run, cli_show, cli_stream
+from slamcmp import cli_check, cli_results, cli_run, cli_show, cli_stream
 from slamcmp.errors import SlamcmpError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 cli_run.add_commands(app)
+cli_check.add_commands(app)
 cli_results.add_commands(app)
 cli_show.add_commands(app)
 cli_stream.add_commands(app)
