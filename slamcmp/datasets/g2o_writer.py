@@ -114,18 +114,20 @@ class _Writer:
             information = self._pose_information(frame.Q, f"Q of frame {frame.k}")
             edge = "EDGE_SE2" if self._flat else "EDGE_SE3:QUAT"
             yield _line(edge, [here - 1, here], self._pose(frame.T_prev_body), information)
-        for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
-            yield self._observation(frame.k, here, landmark, z, R)
+        for landmark, measured, covariance in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
+            yield self._observation(frame.k, here, landmark, measured, covariance)
 
-    def _observation(self, k: int, here: int, landmark: int, z: FloatArray, R: FloatArray) -> str:
+    def _observation(
+        self, k: int, here: int, landmark: int, measured: FloatArray, covariance: FloatArray
+    ) -> str:
         what = f"R of landmark {landmark} in frame {k}"
         if self._bearing:
-            information = _information(R[::-1, ::-1], what)
-            return _line("EDGE_BEARING_RANGE_SE2_XY", [here, landmark], z[::-1], _upper(information))
-        information = _information(R, what)
+            information = _information(covariance[::-1, ::-1], what)
+            return _line("EDGE_BEARING_RANGE_SE2_XY", [here, landmark], measured[::-1], _upper(information))
+        information = _information(covariance, what)
         if self._flat:
-            return _line("EDGE_SE2_XY", [here, landmark], z, _upper(information))
-        return _line("EDGE_SE3_TRACKXYZ", [here, landmark, 0], z, _upper(information))
+            return _line("EDGE_SE2_XY", [here, landmark], measured, _upper(information))
+        return _line("EDGE_SE3_TRACKXYZ", [here, landmark, 0], measured, _upper(information))
 
     def _pose(self, T: FloatArray) -> FloatArray:
         if self._flat:

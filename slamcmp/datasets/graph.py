@@ -55,7 +55,7 @@ class LandmarkEdge:
     pose: int
     landmark: int
     sensor: SensorName
-    z: FloatArray
+    measured: FloatArray
     covariance: FloatArray
     where: str
     """file:line."""
@@ -128,16 +128,16 @@ def graph_log(
 
     n = graph.space_dim
     p = TANGENT_DIM[n]
-    increments, Q = np.tile(np.eye(n + 1), (len(ids), 1, 1)), np.zeros((len(ids), p, p))
+    increments, covariances = np.tile(np.eye(n + 1), (len(ids), 1, 1)), np.zeros((len(ids), p, p))
     for k, edge in odometry.items():
-        increments[k], Q[k] = edge.T, edge.covariance
+        increments[k], covariances[k] = edge.T, edge.covariance
 
     seen = _observations(graph, index, loops, sensor_name, place_sigma_m)
     sensor = make_sensor(sensor_name, {"space_dim": n} if sensor_name == "relative_position" else {})
-    mean, P = _prior(graph, ids[0], prior_position_sigma_m, prior_heading_sigma_rad)
+    mean, prior_covariance = _prior(graph, ids[0], prior_position_sigma_m, prior_heading_sigma_rad)
     times = np.array([graph.times.get(pose, k * time_step_s) for k, pose in enumerate(ids)])
     detections = tuple(_fused(seen.get(k, ()), sensor) for k in range(len(ids)))
-    return Log(name, Problem(mean, P, sensor), times, increments, Q, detections)
+    return Log(name, Problem(mean, prior_covariance, sensor), times, increments, covariances, detections)
 
 
 def _sensor_name(graph: Graph) -> SensorName:
@@ -177,8 +177,10 @@ def _split(graph: Graph, ids: list[int], index: dict[int, int]) -> tuple[dict[in
 
 def turned(edge: PoseEdge) -> PoseEdge:
     """The same measurement from the other end."""
-    A = adjoint(edge.T)
-    return PoseEdge(edge.second, edge.first, inverse(edge.T), A @ edge.covariance @ A.T, edge.where)
+    transport = adjoint(edge.T)
+    return PoseEdge(
+        edge.second, edge.first, inverse(edge.T), transport @ edge.covariance @ transport.T, edge.where
+    )
 
 
 def _observations(
@@ -192,7 +194,7 @@ def _observations(
     seen: dict[int, list[tuple[int, FloatArray, FloatArray]]] = defaultdict(list)
     for edge in graph.landmark_edges:
         if edge.pose in index:
-            seen[index[edge.pose]].append((edge.landmark, edge.z, edge.covariance))
+            seen[index[edge.pose]].append((edge.landmark, edge.measured, edge.covariance))
     if not loops:
         return seen
     if sensor_name != "relative_position":
@@ -209,10 +211,10 @@ def _observations(
         if place not in index:
             place = loop.second
         # The edge's noise lives in the axes of the earlier body, the observation's in the later one's.
-        R = loop.T[:n, :n]
+        rotation = loop.T[:n, :n]
         spread = loop.covariance[-n:, -n:] if n == 3 else loop.covariance[:n, :n]
         landmark = place + offset
-        seen[index[loop.first]].append((landmark, loop.T[:n, n], R @ spread @ R.T))
+        seen[index[loop.first]].append((landmark, loop.T[:n, n], rotation @ spread @ rotation.T))
         if landmark not in taken:
             taken.add(landmark)
             seen[index[place]].append((landmark, np.zeros(n), place_sigma_m**2 * np.eye(n)))
@@ -238,15 +240,15 @@ def _places(pairs: Iterable[tuple[int, int]]) -> dict[int, int]:
 def _fused(seen: Iterable[tuple[int, FloatArray, FloatArray]], sensor: SensorModel) -> Detections:
     """Detections sorted by id; several of one landmark in one frame become their weighted mean."""
     by_id: dict[int, list[tuple[FloatArray, FloatArray]]] = defaultdict(list)
-    for landmark, z, R in seen:
-        by_id[landmark].append((z, R))
+    for landmark, measured, covariance in seen:
+        by_id[landmark].append((measured, covariance))
     ids = sorted(by_id)
-    zs, Rs = np.empty((len(ids), sensor.dim)), np.empty((len(ids), sensor.dim, sensor.dim))
+    measurements, covariances = np.empty((len(ids), sensor.dim)), np.empty((len(ids), sensor.dim, sensor.dim))
     for row, landmark in enumerate(ids):
-        zs[row], Rs[row] = by_id[landmark][0]
+        measurements[row], covariances[row] = by_id[landmark][0]
         if len(by_id[landmark]) > 1:
-            zs[row], Rs[row] = _weighted_mean(by_id[landmark], sensor)
-    return Detections(zs, Rs, np.array(ids, dtype=np.int64))
+            measurements[row], covariances[row] = _weighted_mean(by_id[landmark], sensor)
+    return Detections(measurements, covariances, np.array(ids, dtype=np.int64))
 
 
 def _weighted_mean(
@@ -256,13 +258,13 @@ def _weighted_mean(
     reference = seen[0][0]
     information = np.zeros((sensor.dim, sensor.dim))
     pull = np.zeros(sensor.dim)
-    for z, R in seen:
-        weight = np.linalg.inv(R)
+    for measured, covariance in seen:
+        weight = np.linalg.inv(covariance)
         information += weight
         # Differences, not values, so that two bearings beside +-pi do not average to zero.
-        pull += weight @ sensor.residual(z, reference)
-    covariance = np.linalg.inv(information)
-    fused: FloatArray = 0.5 * (covariance + covariance.T)
+        pull += weight @ sensor.residual(measured, reference)
+    total = np.linalg.inv(information)
+    fused: FloatArray = 0.5 * (total + total.T)
     return sensor.residual(reference + fused @ pull, np.zeros(sensor.dim)), fused
 
 

@@ -195,14 +195,14 @@ class _Reader:
             if offset_id not in self._offsets:
                 raise DataError(f"{edge.where}: there is no PARAMS_SE3OFFSET {offset_id} in the file")
             T = self._offsets[offset_id]
-            R = T[:3, :3]
+            rotation = T[:3, :3]
             graph.landmark_edges.append(
                 LandmarkEdge(
                     edge.pose,
                     edge.landmark,
                     edge.sensor,
-                    R @ edge.z + T[:3, 3],
-                    R @ edge.covariance @ R.T,
+                    rotation @ edge.measured + T[:3, 3],
+                    rotation @ edge.covariance @ rotation.T,
                     edge.where,
                 )
             )
@@ -257,28 +257,33 @@ class _Reader:
         self._graph.landmark_edges.append(edge)
 
     def _edge_bearing_range(self, line: _Line) -> None:
-        pose_id, landmark, z = line.id(), line.id(), line.floats(2)
+        pose_id, landmark, measured = line.id(), line.id(), line.floats(2)
         covariance = self._covariance(line.numbers(3), 2, line)
-        self._add_bearing_range(pose_id, landmark, z, covariance, line)
+        self._add_bearing_range(pose_id, landmark, measured, covariance, line)
 
     def _br(self, line: _Line) -> None:
-        pose_id, landmark, z, sigmas = line.id(), line.id(), line.floats(2), line.floats(2)
+        pose_id, landmark, measured, sigmas = line.id(), line.id(), line.floats(2), line.floats(2)
         if not (sigmas > 0).all():
             raise DataError(
                 f"{line.where}: BR has sigmas {sigmas[0]} and {sigmas[1]}; positive ones are needed"
             )
-        self._add_bearing_range(pose_id, landmark, z, np.diag(sigmas**2), line)
+        self._add_bearing_range(pose_id, landmark, measured, np.diag(sigmas**2), line)
 
     def _add_bearing_range(
-        self, pose_id: int, landmark: int, z: FloatArray, covariance: FloatArray, line: _Line
+        self, pose_id: int, landmark: int, measured: FloatArray, covariance: FloatArray, line: _Line
     ) -> None:
-        if not z[1] > 0:
-            raise DataError(f"{line.where}: the range is {z[1]}; a positive one is needed")
+        if not measured[1] > 0:
+            raise DataError(f"{line.where}: the range is {measured[1]}; a positive one is needed")
         # example.graph in the wheel has bearings beyond half a turn.
-        if abs(z[0]) > np.pi:
-            z[0] = wrap(z[0])
+        if abs(measured[0]) > np.pi:
+            measured[0] = wrap(measured[0])
         edge = LandmarkEdge(
-            pose_id, landmark, "range_bearing", z[::-1].copy(), covariance[::-1, ::-1].copy(), line.where
+            pose_id,
+            landmark,
+            "range_bearing",
+            measured[::-1].copy(),
+            covariance[::-1, ::-1].copy(),
+            line.where,
         )
         self._graph.landmark_edges.append(edge)
 
@@ -290,8 +295,8 @@ class _Reader:
 
     def _edge_xyz(self, line: _Line) -> None:
         pose_id, landmark, offset = line.id(), line.id(), line.id()
-        z, covariance = line.floats(3), self._covariance(line.numbers(6), 3, line)
-        edge = LandmarkEdge(pose_id, landmark, "relative_position", z, covariance, line.where)
+        measured, covariance = line.floats(3), self._covariance(line.numbers(6), 3, line)
+        edge = LandmarkEdge(pose_id, landmark, "relative_position", measured, covariance, line.where)
         self._spatial.append((edge, offset))
 
     def _offset(self, line: _Line) -> None:
@@ -348,14 +353,14 @@ def _pose_3d(line: _Line) -> FloatArray:
 @lru_cache(maxsize=4096)
 def _covariance(upper: tuple[float, ...], size: int, noise: Noise) -> FloatArray | None:
     """Covariance from an upper triangle, in this package's tangent order; None if it is not definite."""
-    M = np.zeros((size, size))
-    M[np.triu_indices(size)] = upper
-    M = M.T @ M if noise == "square_root_information" else M + np.triu(M, 1).T
-    # A loose first test: Cholesky alone lets a barely indefinite matrix through.
-    eigenvalues = np.linalg.eigvalsh(M)
+    matrix = np.zeros((size, size))
+    matrix[np.triu_indices(size)] = upper
+    matrix = matrix.T @ matrix if noise == "square_root_information" else matrix + np.triu(matrix, 1).T
+    # Inverting a matrix that is singular up to rounding would give noise, not a covariance.
+    eigenvalues = np.linalg.eigvalsh(matrix)
     if not eigenvalues[0] > 1e-15 * abs(eigenvalues[-1]):
         return None
-    covariance = M if noise == "covariance" else np.linalg.inv(M)
+    covariance = matrix if noise == "covariance" else np.linalg.inv(matrix)
     covariance = 0.5 * (covariance + covariance.T)
     if size == 6:
         order = [3, 4, 5, 0, 1, 2]

@@ -62,9 +62,9 @@ def _as_range_bearing(log: Log) -> Log:
     for seen in log.detections:
         x, y = seen.z[:, 0], seen.z[:, 1]
         distance = np.hypot(x, y)
-        R = np.zeros((seen.ids.size, 2, 2))
-        R[:, 0, 0] = VARIANCE_M2
-        R[:, 1, 1] = VARIANCE_M2 / distance**2
-        detections.append(Detections(np.stack([distance, np.arctan2(y, x)], axis=-1), R, seen.ids))
+        covariances = np.zeros((seen.ids.size, 2, 2))
+        covariances[:, 0, 0] = VARIANCE_M2
+        covariances[:, 1, 1] = VARIANCE_M2 / distance**2
+        detections.append(Detections(np.stack([distance, np.arctan2(y, x)], axis=-1), covariances, seen.ids))
     problem = Problem(log.problem.T_world_body, log.problem.P, make_sensor("range_bearing", {}))
     return Log(log.name, problem, log.t, log.T_prev_body, log.Q, tuple(detections))

@@ -49,7 +49,7 @@ def simulate(name: str, world: World, settings: Settings, streams: RandomStreams
     true_increments = np.concatenate([np.eye(3)[None], vehicle.model.increment(truth_controls, dt)])
     poses = dead_reckoning(np.eye(3), true_increments)
 
-    increments, Q = _odometry(vehicle, truth_controls, settings, step_noise)
+    increments, covariances = _odometry(vehicle, truth_controls, settings, step_noise)
     sensor = make_sensor(settings.sensor, {"space_dim": 2} if settings.sensor == "relative_position" else {})
     t: FloatArray = np.arange(settings.steps, dtype=np.float64) * dt
     detections, outliers = _detect(sensor, poses, world.landmarks, settings, streams)
@@ -63,7 +63,7 @@ def simulate(name: str, world: World, settings: Settings, streams: RandomStreams
         problem=Problem(prior, np.diag(sigmas**2), sensor),
         t=t,
         T_prev_body=increments,
-        Q=Q,
+        Q=covariances,
         detections=tuple(detections),
         truth=GroundTruth(t, poses, np.arange(len(world.landmarks)), world.landmarks, tuple(outliers)),
     )
@@ -118,16 +118,16 @@ def _odometry(
     slip[:, 1] = lateral * draws[:, 2]
     noisy = vehicle.model.increment(measured, settings.time_step_s) @ exp(slip)
     jacobian = _rounded(vehicle.model.jacobian(measured, settings.time_step_s), settings.resolution)
-    increments, Q = np.tile(np.eye(3), (steps + 1, 1, 1)), np.zeros((steps + 1, 3, 3))
+    increments, covariances = np.tile(np.eye(3), (steps + 1, 1, 1)), np.zeros((steps + 1, 3, 3))
     # Sums of products, one by one, give the same bits on every machine; a matrix product does not.
     for sigma, column in zip(vehicle.sigmas, np.moveaxis(jacobian, -1, 0), strict=True):
-        Q[1:] += sigma**2 * (column[:, :, None] * column[:, None, :])
-    Q[1:, 1, 1] += lateral**2
+        covariances[1:] += sigma**2 * (column[:, :, None] * column[:, None, :])
+    covariances[1:, 1, 1] += lateral**2
     for k, (x, y, theta) in enumerate(_rounded(se2_coordinates(noisy), settings.resolution), start=1):
         # math.cos comes from the platform's libm; numpy's own depends on the processor's vector width.
         cos, sin = math.cos(theta), math.sin(theta)
         increments[k] = [[cos, -sin, x], [sin, cos, y], [0.0, 0.0, 1.0]]
-    return increments, Q
+    return increments, covariances
 
 
 def _detect(
@@ -142,7 +142,7 @@ def _detect(
     else:
         sigmas = np.array([settings.position_sigma_m] * 2)
     sigmas = settings.noise_scale * sigmas
-    R = np.diag(sigmas**2)
+    covariance = np.diag(sigmas**2)
     low = np.array([settings.range_min_m, -half_view])
     high = np.array([settings.range_max_m, half_view])
     detections, masks = [], []
@@ -151,17 +151,17 @@ def _detect(
         luck = streams.outliers.random((len(landmarks), 3))
         geometry = polar.predict(T, landmarks)
         seen = (geometry >= low).all(axis=1) & (geometry <= high).all(axis=1)
-        z = sensor.predict(T, landmarks) + sigmas * noise
+        readings = sensor.predict(T, landmarks) + sigmas * noise
         wild = luck[:, 0] < settings.outlier_fraction
         false = low + (high - low) * luck[:, 1:]
-        z[wild] = false[wild] if is_polar else polar.invert(np.eye(3), false[wild])
-        z = _rounded(z, settings.resolution)
+        readings[wild] = false[wild] if is_polar else polar.invert(np.eye(3), false[wild])
+        readings = _rounded(readings, settings.resolution)
         if is_polar:
-            z[:, 1] = wrap(z[:, 1])
+            readings[:, 1] = wrap(readings[:, 1])
             # A sensor cannot report a range below zero; noise may ask for one very close by.
-            seen &= z[:, 0] > 0
+            seen &= readings[:, 0] > 0
         ids = np.flatnonzero(seen)
-        detections.append(Detections(z[ids], np.tile(R, (ids.size, 1, 1)), ids))
+        detections.append(Detections(readings[ids], np.tile(covariance, (ids.size, 1, 1)), ids))
         masks.append(wild[ids])
     return detections, masks
 

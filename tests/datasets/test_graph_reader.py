@@ -63,9 +63,9 @@ def test_bearing_range_kinds(tmp_path):
     path = write(tmp_path, "BR 0 9 0.25 4 0.02 0.1", "EDGE_BEARING_RANGE_SE2_XY 0 8 -0.5 3 100 5 25")
     br, own = read_graph(path).landmark_edges
     assert br.sensor == own.sensor == "range_bearing"
-    np.testing.assert_array_equal(br.z, [4, 0.25])
+    np.testing.assert_array_equal(br.measured, [4, 0.25])
     np.testing.assert_allclose(br.covariance, np.diag([0.1**2, 0.02**2]))
-    np.testing.assert_array_equal(own.z, [3, -0.5])
+    np.testing.assert_array_equal(own.measured, [3, -0.5])
     np.testing.assert_allclose(own.covariance, np.linalg.inv([[25, 5], [5, 100]]), rtol=1e-12)
 
 
@@ -99,7 +99,7 @@ def test_bearing_range_edges_agree_with_gtsams_reader():
         assert edge.pose == factor.keys()[0]
         assert edge.landmark == gtsam.Symbol(factor.keys()[1]).index()
         measured = factor.measured()
-        np.testing.assert_allclose(edge.z, [measured.range(), measured.bearing().theta()], atol=1e-12)
+        np.testing.assert_allclose(edge.measured, [measured.range(), measured.bearing().theta()], atol=1e-12)
         sigmas = factor.noiseModel().sigmas()
         np.testing.assert_allclose(np.sqrt(np.diag(edge.covariance)), sigmas[::-1], rtol=1e-12)
 
@@ -139,12 +139,12 @@ def test_sensor_offsets_are_folded_into_the_measurement(tmp_path):
     turn = "0 0 0.7071067811865476 0.7071067811865476"
     path = write(tmp_path, "EDGE_SE3_TRACKXYZ 0 4 2 3 0 0 1 0 0 4 0 16", f"PARAMS_SE3OFFSET 2 1 0 0 {turn}")
     edge = read_graph(path).landmark_edges[0]
-    np.testing.assert_allclose(edge.z, [1, 3, 0], atol=1e-15)
+    np.testing.assert_allclose(edge.measured, [1, 3, 0], atol=1e-15)
     np.testing.assert_allclose(edge.covariance, np.diag([1 / 4, 1.0, 1 / 16]), atol=1e-15)
     plain = read_graph(wheel_file("edge_se3_trackxyz_example.g2o")).landmark_edges[0]
     shifted = read_graph(wheel_file("edge_se3_trackxyz_nonidentity_offset.g2o")).landmark_edges[0]
-    np.testing.assert_allclose(plain.z, [2, 1, 3])
-    np.testing.assert_allclose(shifted.z, [2.1, 1, 3])
+    np.testing.assert_allclose(plain.measured, [2, 1, 3])
+    np.testing.assert_allclose(shifted.measured, [2.1, 1, 3])
 
 
 def test_turning_an_edge_keeps_its_cost():
