@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 class SensorModel(Protocol):
     """A landmark sensor; n = 2 or 3 space, p = 3 or 6 pose tangent, d measurement dimension.
 
-    Every method takes one landmark ``(n,)`` or a batch ``(m, n)`` and answers with the same batch axis.
+    Every method takes one landmark ``(n,)`` or a batch ``(m, n)`` and answers with the same batch axis; the
+    pose is one ``(n+1, n+1)`` for all, or one for each ``(m, n+1, n+1)``.
     """
 
     name: str
