@@ -1,0 +1,341 @@
+"""Sliding-window smoothing: the dial from filter to smoother.
+
+The course's three steps, each one method: cost construction (``_append_pose``, ``_observe``), Gauss-Newton
+(``_solve``), and marginalisation (``_marginalise_oldest``). Two knobs turn a filter into a smoother: how
+many poses are kept (``window``) and how often the window is solved (``iterations``). Window 1 with one
+iteration is EKF-SLAM, with iterations to convergence the iterated EKF; an infinite window solved to
+convergence is the batch solution at every frame (tests/oracles hold these to rounding).
+
+A pose leaves the window with the Jacobians of the last solve, the ones that the reported covariance comes
+from: nothing is relinearised between solving and marginalising. Afterwards the prior's origin is the current
+estimate.
+
+========  =====================================================================
+symbol    meaning (Sibley 2006; Dong-Si and Mourikis 2011 for first estimates)
+========  =====================================================================
+T         poses of the window, oldest first, (K, n+1, n+1)
+Q, R, z   odometry and measurement covariances, measurements
+W         whiteners, W^T W = R^-1 or Q^-1
+P         covariances, poses in the body tangent
+========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt
+from numpy.typing import NDArray
+
+from slamcmp.backends.gauss_newton import GaussNewtonStep
+from slamcmp.backends.marginalisation import Prior, Quadratic, in_world_axes
+from slamcmp.backends.whitening import whitener, whiteners
+from slamcmp.backends.window_cost import ObservationTerms, OdometryTerms, observation_terms, odometry_terms
+from slamcmp.geometry import exp
+from slamcmp.registry import back_ends
+from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@back_ends.register("sliding_window")
+class SlidingWindow:
+    """Fixed-lag smoothing of the last poses and all landmarks, by Gauss-Newton with exact marginalisation.
+
+    Every frame costs O(w (n L)²+ (n L)³) an iteration for w poses and L landmarks; with ``window: null``
+    w is the number of frames so far, so a run is quadratic in its length (hundreds of frames, not tens of
+    thousands).
+
+    Args:
+        problem: prior and sensor (planar or spatial; the sensor must be invertible, d = n).
+        window: poses kept, the current one included; null keeps all (full smoothing).
+        iterations: most Gauss-Newton iterations a frame.
+        tolerance: iterations end when no component of a step [m, rad] is larger.
+        linearisation: where Jacobians are taken. "latest": at the current estimate. "fej": variables that
+            share a cost with marginalised ones keep the point of their first one (first-estimates
+            Jacobians). "frozen": every measurement keeps the linear form of the frame it came in.
+        landmarks: "keep" all in the state, or "drop_unseen": marginalise those that no pose of the window
+            has seen; seen again, they start anew.
+
+    Raises:
+        UsageError: the prior or an odometry covariance is singular.
+        DivergedError: the information matrix is not positive definite, or not finite.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        window: Annotated[int, Ge(1)] | None = 10,
+        iterations: Annotated[int, Ge(1)] = 10,
+        tolerance: Annotated[float, Gt(0)] = 1e-6,
+        linearisation: Literal["latest", "fej", "frozen"] = "latest",
+        landmarks: Literal["keep", "drop_unseen"] = "keep",
+    ) -> None:
+        self._sensor = problem.sensor
+        self._window = window
+        self._iterations, self._tolerance = iterations, tolerance
+        self._first_estimates = linearisation == "fej"
+        self._frozen = linearisation == "frozen"
+        self._drop_unseen = landmarks == "drop_unseen"
+        n, d, p = problem.sensor.space_dim, problem.sensor.dim, problem.P.shape[0]
+        self._n, self._p = n, p
+
+        W = whitener(problem.P, "the prior covariance Problem.P")
+        self._T = problem.T_world_body[None].copy()
+        self._prior = Prior(Quadratic(W.T @ W, np.zeros(p)), self._T[0], np.empty((0, n)))
+        self._linear_prior = self._prior.quadratic
+        self._increments, self._odometry_W = np.empty((0, n + 1, n + 1)), np.empty((0, p, p))
+        self._odometry = OdometryTerms(np.empty((0, p, p)), np.empty((0, p, p)), np.empty((0, p)))
+        self._pose_of, self._landmark_of = np.empty(0, np.int64), np.empty(0, np.int64)
+        self._z, self._W = np.empty((0, d)), np.empty((0, d, d))
+        self._observations = ObservationTerms(np.empty((0, d, p)), np.empty((0, d, n)), np.empty((0, d)))
+        self._landmarks = np.empty((0, n))
+        self._number: dict[int, int] = {}
+
+        # Where the last solve took its Jacobians, and the part of it that first estimates pin.
+        self._T_at, self._landmarks_at = self._T.copy(), self._landmarks.copy()
+        self._pose_pinned, self._pinned = False, 0
+
+        self._step: GaussNewtonStep
+        self._joint: FloatArray | None = None
+        self._used, self._last_size = 0, 0.0
+        self._dof = 0
+        self._t: list[float] = []
+        self._left: list[tuple[FloatArray, FloatArray]] = []
+
+    def update(self, frame: Frame) -> None:
+        """Append the frame's pose, marginalise what leaves the window, take in observations and solve."""
+        if frame.k > 0:
+            self._append_pose(frame)
+            if self._window is not None and len(self._T) > self._window:
+                self._marginalise_oldest(set(frame.ids.tolist()))
+        self._t.append(frame.t)
+        self._observe(frame)
+        self._solve()
+
+    def estimate(self) -> Estimate:
+        """The current pose and its covariance."""
+        return Estimate(self._T[-1], self._step.last_pose_covariance())
+
+    def landmarks(self) -> Landmarks:
+        """The landmarks in the state, in the order of first sight."""
+        ids = np.fromiter(self._number, dtype=np.int64, count=len(self._number))
+        n, p = self._n, self._p
+        blocks = self._cached_joint()[p:, p:].reshape(ids.size, n, ids.size, n)
+        index = np.arange(ids.size)
+        return Landmarks(ids, self._landmarks, blocks[index, :, index, :])
+
+    def joint_covariance(self) -> FloatArray:
+        """P of the current pose and the landmarks, (p + n L, p + n L)."""
+        return self._cached_joint().copy()
+
+    def trajectory(self) -> Trajectory:
+        """Each pose as it left the window, or as it stands in it: with a hindsight of at most w - 1 frames.
+
+        With ``window: null`` every pose with full hindsight; with window 1 the filter's own estimates.
+        """
+        poses = [T for T, _ in self._left] + list(self._T)
+        covariances = [P for _, P in self._left] + list(self._step.pose_covariances())
+        return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """Landmarks, iterations used, largest component of the last step, and chi-square with its dof.
+
+        Chi-square is that of all measurements so far: the window's plus what marginalisation left over. For
+        window 1 with one iteration it is the sum of the NIS.
+        """
+        return {
+            "landmarks": len(self._number),
+            "iterations": self._used,
+            "last_step": self._last_size,
+            "chi2": self._step.chi2,
+            "dof": self._dof,
+        }
+
+    def _append_pose(self, frame: Frame) -> None:
+        predicted = self._T[-1] @ frame.T_prev_body
+        W = whitener(frame.Q, f"the odometry covariance Q of frame {frame.k}")
+        self._T = np.concatenate([self._T, predicted[None]])
+        self._increments = np.concatenate([self._increments, frame.T_prev_body[None]])
+        self._odometry_W = np.concatenate([self._odometry_W, W[None]])
+        at, _ = self._jacobian_points()
+        new = odometry_terms(
+            self._T[-2:], at[-2:], self._first_estimates, self._increments[-1:], self._odometry_W[-1:]
+        )
+        old = self._odometry
+        self._odometry = OdometryTerms(
+            np.concatenate([old.A_prev, new.A_prev]),
+            np.concatenate([old.A_next, new.A_next]),
+            np.concatenate([old.b, new.b]),
+        )
+        self._T_at = np.concatenate([self._T_at, predicted[None]])
+
+    def _observe(self, frame: Frame) -> None:
+        """The frame's observations, with new landmarks where the predicted pose sees them."""
+        ids = frame.ids.tolist()
+        new = [i for i, landmark in enumerate(ids) if landmark not in self._number]
+        if new:
+            positions = self._sensor.invert(self._T[-1], frame.z[new])
+            for i in new:
+                self._number[ids[i]] = len(self._number)
+            self._landmarks = np.concatenate([self._landmarks, positions])
+            self._landmarks_at = np.concatenate([self._landmarks_at, positions])
+        self._dof += frame.z.size - self._n * len(new)
+        if not ids:
+            return
+        self._pose_of = np.concatenate([self._pose_of, np.full(len(ids), len(self._T) - 1)])
+        self._landmark_of = np.concatenate([self._landmark_of, [self._number[landmark] for landmark in ids]])
+        self._z = np.concatenate([self._z, frame.z])
+        self._W = np.concatenate([self._W, whiteners(frame.R)])
+        if self._frozen:
+            fresh = self._observation_terms(slice(self._z.shape[0] - len(ids), None))
+            old = self._observations
+            self._observations = ObservationTerms(
+                np.concatenate([old.H_pose, fresh.H_pose]),
+                np.concatenate([old.H_land, fresh.H_land]),
+                np.concatenate([old.b, fresh.b]),
+            )
+
+    def _solve(self) -> None:
+        """Gauss-Newton from the predicted state until the step is small enough."""
+        for iteration in range(1, self._iterations + 1):
+            if not self._frozen:
+                self._linearise()
+            step = GaussNewtonStep(
+                self._linear_prior,
+                self._odometry,
+                self._observations,
+                self._pose_of,
+                self._landmark_of,
+                len(self._landmarks),
+                self._n,
+            )
+            self._T = self._T @ exp(step.pose_step)
+            self._landmarks = self._landmarks + step.landmark_step
+            self._recentre(step)
+            self._step, self._joint, self._used = step, None, iteration
+            sizes = np.abs(step.pose_step).max(), np.abs(step.landmark_step).max(initial=0.0)
+            self._last_size = float(max(sizes))
+            if self._last_size < self._tolerance:
+                break
+
+    def _linearise(self) -> None:
+        self._T_at, self._landmarks_at = self._jacobian_points()
+        known = self._prior.landmarks.shape[0]
+        self._linear_prior = self._prior.linearised(self._T[0], self._landmarks[:known])
+        self._odometry = odometry_terms(
+            self._T, self._T_at, self._first_estimates, self._increments, self._odometry_W
+        )
+        self._observations = self._observation_terms(slice(None))
+
+    def _jacobian_points(self) -> tuple[FloatArray, FloatArray]:
+        """Poses and landmarks at which Jacobians are taken now."""
+        if not self._first_estimates:
+            return self._T, self._landmarks
+        T, landmarks = self._T.copy(), self._landmarks.copy()
+        if self._pose_pinned:
+            T[0] = self._T_at[0]
+        landmarks[: self._pinned] = self._landmarks_at[: self._pinned]
+        return T, landmarks
+
+    def _observation_terms(self, rows: slice) -> ObservationTerms:
+        pose_of, landmark_of = self._pose_of[rows], self._landmark_of[rows]
+        T_at, landmarks_at = self._jacobian_points()
+        return observation_terms(
+            self._sensor,
+            self._T[pose_of],
+            self._landmarks[landmark_of],
+            T_at[pose_of],
+            landmarks_at[landmark_of],
+            self._first_estimates,
+            self._z[rows],
+            self._W[rows],
+        )
+
+    def _recentre(self, step: GaussNewtonStep) -> None:
+        """Linear terms about the new estimate, with the Jacobians of the solve."""
+        self._odometry.recentre(step.pose_step)
+        self._observations.recentre(step.pose_step[self._pose_of], step.landmark_step[self._landmark_of])
+        known = (self._linear_prior.eta.size - self._p) // self._n
+        moved = np.concatenate([step.pose_step[0], step.landmark_step[:known].ravel()])
+        self._linear_prior = self._linear_prior.recentred(moved)
+
+    def _marginalise_oldest(self, seen_now: set[int]) -> None:
+        """Turn the oldest pose's costs into a prior on the next pose and the landmarks."""
+        self._left.append((self._T[0], self._step.first_pose_covariance()))
+        leaving = self._pose_of == 0
+        quadratic, known = self._cost_of_oldest(leaving)
+        quadratic = quadratic.eliminated(np.arange(self._p))
+        self._T, self._T_at = self._T[1:], self._T_at[1:]
+        self._increments, self._odometry_W = self._increments[1:], self._odometry_W[1:]
+        terms = self._odometry
+        self._odometry = OdometryTerms(terms.A_prev[1:], terms.A_next[1:], terms.b[1:])
+        self._keep_observations(~leaving)
+        self._pose_of -= 1
+        self._pose_pinned, self._pinned = True, known
+        if self._drop_unseen:
+            quadratic = self._without_unseen(quadratic, seen_now)
+        self._linear_prior = quadratic
+        centre = self._landmarks[: self._pinned].copy()
+        if self._first_estimates:
+            self._prior = Prior(in_world_axes(quadratic, self._T[0]), self._T[0], centre, in_world_axes=True)
+        else:
+            self._prior = Prior(quadratic, self._T[0], centre)
+
+    def _cost_of_oldest(self, leaving: NDArray[np.bool_]) -> tuple[Quadratic, int]:
+        """The oldest pose's cost on [oldest, next, landmarks], and how many landmarks these are."""
+        p, n = self._p, self._n
+        prior, odometry, terms = self._linear_prior, self._odometry, self._observations
+        H_pose, H_land, b = terms.H_pose[leaving], terms.H_land[leaving], terms.b[leaving]
+        numbers = self._landmark_of[leaving]
+        # Landmarks are numbered by first sight, so the oldest pose's are among the first.
+        known = max((prior.eta.size - p) // n, int(numbers.max(initial=-1)) + 1)
+        size = 2 * p + n * known
+        Lam, eta = np.zeros((size, size)), np.zeros(size)
+        own = np.concatenate([np.arange(p), np.arange(2 * p, p + prior.eta.size)])
+        Lam[np.ix_(own, own)] = prior.Lam
+        eta[own] = prior.eta
+        pair = np.concatenate([odometry.A_prev[0], odometry.A_next[0]], axis=1)
+        Lam[: 2 * p, : 2 * p] += pair.T @ pair
+        eta[: 2 * p] -= pair.T @ odometry.b[0]
+        A = np.zeros((b.size, size))
+        A[:, :p] = H_pose.reshape(b.size, p)
+        rows = np.arange(b.size).reshape(b.shape)[:, :, None]
+        columns = (2 * p + n * numbers[:, None] + np.arange(n))[:, None, :]
+        A[rows, columns] = H_land
+        Lam += A.T @ A
+        eta -= A.T @ b.ravel()
+        return Quadratic(Lam, eta, prior.c + float((odometry.b[0] ** 2).sum() + (b**2).sum())), known
+
+    def _keep_observations(self, keep: NDArray[np.bool_]) -> None:
+        terms = self._observations
+        self._observations = ObservationTerms(terms.H_pose[keep], terms.H_land[keep], terms.b[keep])
+        self._pose_of, self._landmark_of = self._pose_of[keep], self._landmark_of[keep]
+        self._z, self._W = self._z[keep], self._W[keep]
+
+    def _without_unseen(self, quadratic: Quadratic, seen_now: set[int]) -> Quadratic:
+        """Marginalise the landmarks that neither the window nor the new frame sees."""
+        ids = list(self._number)
+        seen = np.zeros(len(ids), dtype=bool)
+        seen[self._landmark_of] = True
+        seen |= np.array([landmark in seen_now for landmark in ids], dtype=bool)
+        if seen.all():
+            return quadratic
+        unseen = np.flatnonzero(~seen)
+        states = (self._p + self._n * unseen[:, None] + np.arange(self._n)).ravel()
+        quadratic = quadratic.eliminated(states)
+        self._landmarks, self._landmarks_at = self._landmarks[seen], self._landmarks_at[seen]
+        renumbered = np.cumsum(seen) - 1
+        self._landmark_of = renumbered[self._landmark_of]
+        self._pinned -= unseen.size
+        self._number = {ids[old]: new for new, old in enumerate(np.flatnonzero(seen).tolist())}
+        return quadratic
+
+    def _cached_joint(self) -> FloatArray:
+        if self._joint is None:
+            self._joint = self._step.joint_covariance()
+        return self._joint

@@ -1,0 +1,39 @@
+"""Square roots of information matrices: what turns a residual into a sum of unit squares."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.errors import UsageError
+
+FloatArray = NDArray[np.float64]
+
+
+def whitener(covariance: FloatArray, what: str) -> FloatArray:
+    """Lower-triangular W (p, p) with ``W^T W = covariance^-1``.
+
+    Args:
+        covariance: (p, p).
+        what: names the covariance in the error message.
+
+    Raises:
+        UsageError: it is singular, or its correlations are within 1e-12 of singular, whatever the units.
+    """
+    deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    if deviations.all():
+        correlation = covariance / np.outer(deviations, deviations)
+        if np.linalg.eigvalsh(correlation)[0] > 1e-12:
+            W: FloatArray = np.linalg.inv(np.linalg.cholesky(correlation)) / deviations
+            return W
+    raise UsageError(
+        f"{what} is singular, and a smoother needs a positive definite one: give every direction of the "
+        "pose some noise (sideways too; several odometry sub-steps summed do), or use ekf_slam, which takes "
+        "it as it is"
+    )
+
+
+def whiteners(covariances: FloatArray) -> FloatArray:
+    """W (m, d, d) of covariances (m, d, d) that are already known to be positive definite."""
+    W: FloatArray = np.linalg.inv(np.linalg.cholesky(covariances))
+    return W

@@ -1,0 +1,113 @@
+"""The residuals of a window of poses and their Jacobians, whitened.
+
+The cost is that of the filters: ``log(T_prev_body^-1 T_{k-1}^-1 T_k)`` for odometry and ``h(T, l) - z`` for
+observations. Every function answers with terms of ``|b + A delta|^2``, delta in the body tangent of the
+*current* poses and additive for landmarks. Where Jacobians are taken at another point than the current one
+(first estimates), the change of chart is the one between their world axes: a pose error (rotation,
+translation) keeps its world components. That is what keeps the null space of rigid motions of the world,
+which is [R^T (t + w x p), w] for poses and t + w x l for landmarks, at the points of the Jacobians.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+A, b      whitened Jacobian and residual
+H         A's blocks for observations: H_pose (M, d, p) and H_land (M, d, n)
+W         square root of an information matrix, W^T W = R^-1 or Q^-1
+T, l      poses (K, n+1, n+1) and landmarks (L, n) of the current estimate
+J_r       right Jacobian of the group (Solà 2018, eq. 67)
+========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.geometry import adjoint, inverse, log, right_jacobian
+from slamcmp.protocols import SensorModel
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass
+class OdometryTerms:
+    """Whitened terms of the increments between neighbours: row i ties pose i to pose i + 1."""
+
+    A_prev: FloatArray
+    """(K-1, p, p)."""
+    A_next: FloatArray
+    """(K-1, p, p)."""
+    b: FloatArray
+    """(K-1, p)."""
+
+    def recentre(self, step: FloatArray) -> None:
+        """Move the origin of delta by ``step`` (K, p)."""
+        self.b += np.einsum("kij,kj->ki", self.A_prev, step[:-1])
+        self.b += np.einsum("kij,kj->ki", self.A_next, step[1:])
+
+
+@dataclass
+class ObservationTerms:
+    """Whitened terms of the observations."""
+
+    H_pose: FloatArray
+    """(M, d, p)."""
+    H_land: FloatArray
+    """(M, d, n)."""
+    b: FloatArray
+    """(M, d)."""
+
+    def recentre(self, step: FloatArray, land_step: FloatArray) -> None:
+        """Move the origin of delta by the steps (M, p) and (M, n) of each observation's two variables."""
+        self.b += np.einsum("mij,mj->mi", self.H_pose, step)
+        self.b += np.einsum("mij,mj->mi", self.H_land, land_step)
+
+
+def odometry_terms(
+    T: FloatArray, at: FloatArray, shifted: bool, increments: FloatArray, W: FloatArray
+) -> OdometryTerms:
+    """Terms of the increments (K-1, n+1, n+1) between poses T (K, …), Jacobians at the poses ``at``."""
+    back = inverse(increments)
+    residual = log(back @ inverse(T[:-1]) @ T[1:])
+    relative = inverse(at[:-1]) @ at[1:]
+    residual_at = log(back @ relative) if shifted else residual
+    A_next = W @ np.linalg.inv(right_jacobian(residual_at))
+    A_prev = -A_next @ adjoint(inverse(relative))
+    if shifted:
+        turn = tangent_turn(at, T)
+        A_prev, A_next = A_prev @ turn[:-1], A_next @ turn[1:]
+    return OdometryTerms(A_prev, A_next, np.einsum("kij,kj->ki", W, residual))
+
+
+def observation_terms(
+    sensor: SensorModel,
+    T: FloatArray,
+    landmarks: FloatArray,
+    at: FloatArray,
+    landmarks_at: FloatArray,
+    shifted: bool,
+    z: FloatArray,
+    W: FloatArray,
+) -> ObservationTerms:
+    """Terms of M observations z (M, d); poses (M, …) and landmarks (M, n) stand once per observation."""
+    residual = -sensor.residual(z, sensor.predict(T, landmarks))
+    H_pose, H_land = sensor.jacobians(at, landmarks_at)
+    if shifted:
+        H_pose = H_pose @ tangent_turn(at, T)
+    return ObservationTerms(W @ H_pose, W @ H_land, np.einsum("mij,mj->mi", W, residual))
+
+
+def tangent_turn(at: FloatArray, T: FloatArray) -> FloatArray:
+    """(…, p, p): a body-tangent error at ``T`` as the error at ``at`` with the same world components."""
+    n = T.shape[-1] - 1
+    turn = np.swapaxes(at[..., :n, :n], -1, -2) @ T[..., :n, :n]
+    p = 3 if n == 2 else 6
+    blocks = np.zeros((*T.shape[:-2], p, p))
+    blocks[..., :n, :n] = turn
+    if n == 2:
+        blocks[..., 2, 2] = 1.0
+    else:
+        blocks[..., 3:, 3:] = turn
+    return blocks
