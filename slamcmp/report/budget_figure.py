@@ -43,11 +43,16 @@ def plot_budget(results: Results) -> Figure:
     figure = style.new_figure(4.75 * len(kinds) + 0.5, 4.4, title)
     grid = figure.subplots(1, len(kinds), sharex=True, sharey=True, squeeze=False)[0]
     shown: set[str] = set()
+    tables = {which: budget_points(trials, which) for which in kinds}
     for which, axes in zip(kinds, grid, strict=True):
-        shown |= _draw_budget(axes, results, trials, which)
+        shown |= _draw_budget(axes, results, tables[which])
         times = "update + estimate" if which == "online" else "update + final solution"
         axes.set_xlabel(f"{times} [ms per frame]")
         axes.set_title(f"{which} trajectory ({'causal' if which == 'online' else 'with hindsight'})")
+    every = pd.concat(tables.values())
+    for axes in grid:
+        style.log_if_wide(axes, every["ms"].to_numpy(dtype=float), "x", 4.0)
+        style.log_if_wide(axes, every["error_m"].to_numpy(dtype=float), "y")
     grid[0].set_ylabel("ATE [m]" if reference == "truth" else f"ATE [m] against {reference}")
     colours, markers = style.colours(results), style.markers(results)
     style.legend_below(
@@ -69,8 +74,7 @@ def budget_points(trials: pd.DataFrame, which: str) -> pd.DataFrame:
     return table[table["error_m"].notna() & table["ms"].notna() & ~itself]
 
 
-def _draw_budget(axes: Axes, results: Results, trials: pd.DataFrame, which: str) -> set[str]:
-    table = budget_points(trials, which)
+def _draw_budget(axes: Axes, results: Results, table: pd.DataFrame) -> set[str]:
     colours, markers = style.colours(results), style.markers(results)
     for label, own in table.groupby("label", sort=False):
         colour, marker = colours[str(label)], markers[str(label)]
@@ -91,6 +95,4 @@ def _draw_budget(axes: Axes, results: Results, trials: pd.DataFrame, which: str)
             linestyle="-" if len(middle) <= 12 else "",
             capsize=2,
         )
-    style.log_if_wide(axes, table["ms"].to_numpy(dtype=float), "x", 4.0)
-    style.log_if_wide(axes, table["error_m"].to_numpy(dtype=float), "y")
     return {str(label) for label in table["label"]}

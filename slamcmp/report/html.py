@@ -70,7 +70,8 @@ def report_html(results: Results) -> str:
     paired = paired_table(results)
     swept = swept_columns(results.trials)
     manifest = results.manifest
-    shown = [_embed(drawn) for drawn in each_figure(results)]
+    names = manifest.get("config", {}).get("figures")
+    shown = [_embed(drawn) for drawn in each_figure(results, names)]
     return environment.get_template("report.html.j2").render(
         name=manifest.get("name", results.folder.name),
         question=manifest.get("question") or "",
@@ -192,15 +193,22 @@ def _facts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
         "platform": "Platform",
         "python": "Python",
         "seeds": "Seeds",
+        "front_end_totals": "Front end (detections)",
     }
     facts = []
     for key, title in names.items():
         value = manifest.get(key)
-        if value is None or value == "":
+        if value in (None, "", [], {}):
             continue
-        if isinstance(value, float):
-            value = f"{value:.1f}"
-        if isinstance(value, list):
-            value = " ".join(str(each) for each in value)
-        facts.append((title, str(value)))
+        facts.append((title, _fact_text(value)))
     return facts
+
+
+def _fact_text(value: Any) -> str:
+    if isinstance(value, Mapping) and "sha" in value:
+        return f"{value['sha']}{' with uncommitted changes' if value.get('dirty') else ''}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {each}" for name, each in value.items())
+    if isinstance(value, list):
+        return " ".join(str(each) for each in value)
+    return f"{value:.1f}" if isinstance(value, float) else str(value)

@@ -37,7 +37,7 @@ CHI2_95 = float(chdtri(2, 0.05))
     caption=(
         "Trajectories and landmarks of one typical trial (median online error). Dashed: online, what the "
         "robot knew when it was there; solid: final, with hindsight. Ellipses hold the position with 95 % "
-        "if the covariance is right. Estimates far outside the reference are cut off."
+        "if the covariance is right (to scale). Estimates far outside the reference are cut off."
     ),
 )
 def plot_map(results: Results) -> Figure:
@@ -53,7 +53,7 @@ def plot_map(results: Results) -> Figure:
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     panel = 10.0 / columns
     title = f"Map: {trial_name(results, trial)}"
-    figure = style.new_figure(10.0, rows * (min(max(panel * aspect, 2.2), 6.5) + 0.5) + 0.9, title)
+    figure = style.new_figure(10.0, rows * (min(max(panel * aspect, 2.2), 6.5) + 0.7) + 0.9, title)
     grid = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)).ravel()
     colours = style.colours(results)
     reference = reference_name(results)
@@ -104,11 +104,17 @@ def _draw_run(axes: Axes, results: Results, trial: int, label: str, colour: str)
         axes.plot(frames["true_x"], frames["true_y"], color=style.TRUTH, linewidth=0.9, zorder=2)
     axes.plot(frames["online_x"], frames["online_y"], color=colour, linestyle="--", linewidth=1.1, zorder=3)
     if has_values(frames, ["final_x"]):
-        axes.plot(frames["final_x"], frames["final_y"], color=colour, linewidth=1.6, zorder=2.5)
+        axes.plot(frames["final_x"], frames["final_y"], color=colour, linewidth=1.3, zorder=2.5)
     if not landmarks.empty:
         if has_values(landmarks, ["true_x"]):
             axes.plot(
-                landmarks["true_x"], landmarks["true_y"], "+", color=style.TRUTH, markersize=5, zorder=2.2
+                landmarks["true_x"],
+                landmarks["true_y"],
+                "+",
+                color=style.TRUTH,
+                markersize=5,
+                mew=0.8,
+                zorder=5,
             )
         axes.plot(landmarks["x"], landmarks["y"], "o", color=colour, markersize=2.5, zorder=4)
     poses = frames.iloc[np.linspace(0, len(frames) - 1, min(POSE_ELLIPSES, len(frames))).astype(int)]
@@ -158,4 +164,4 @@ def _panel_title(results: Results, trial: int, label: str) -> str:
     ]
     if row["status"] != "ok":
         parts.append(str(row["status"]))
-    return f"{label}" + (f"\n{', '.join(parts)}" if parts else "")
+    return "\n".join([label, *parts])

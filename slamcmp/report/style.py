@@ -52,7 +52,7 @@ def markers(results: Results) -> dict[str, str]:
 def widths(results: Results) -> dict[str, float]:
     """Line widths that shrink in drawing order: where two back ends agree, the lower one stays visible."""
     known = labels(results)
-    return {label: (1.0, 2.1, 2.9, 3.5)[min(3, len(known) - 1 - i)] for i, label in enumerate(known)}
+    return {label: (1.0, 1.8, 2.4, 3.0)[min(3, len(known) - 1 - i)] for i, label in enumerate(known)}
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:

@@ -195,6 +195,25 @@ def test_page_names_the_reference(recorded):
     assert "abc1234" in text
 
 
+def test_page_draws_only_the_figures_the_experiment_names(one_trial):
+    manifest = {**one_trial.manifest, "config": {"figures": ["time"]}}
+    page = Page(report_html(dataclasses.replace(one_trial, manifest=manifest)))
+    assert [image["alt"].split(".")[0] for image in page.images] == ["Time per frame"]
+
+
+def test_page_tells_how_to_repeat_it(one_trial):
+    manifest = {
+        **one_trial.manifest,
+        "config": {"figures": ["time"]},
+        "commit": {"sha": "abc1234", "dirty": True},
+        "front_end_totals": {"raw": 120, "kept": 100},
+    }
+    text = report_html(dataclasses.replace(one_trial, manifest=manifest))
+    assert "abc1234 with uncommitted changes" in text
+    assert "raw 120, kept 100" in text
+    assert "numpy 2.3.4, slamcmp 0.1.0" in text
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
