@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -34,8 +35,11 @@ def plot(
         raise UsageError(f"--format {formats}: {unknown[0]!r} is not one of png, svg, pdf")
     found = load_results(find_results(results))
     names = figure or found.manifest["config"].get("figures")
-    for path in draw_figures(found, names, found.folder / "figures", wanted):
+    drawn = draw_figures(found, names, found.folder / "figures", wanted)
+    for path in drawn:
         print(path)
+    for name, reason in drawn.skipped.items():
+        print(f"{name}: not drawn: {reason}", file=sys.stderr)
 
 
 def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:

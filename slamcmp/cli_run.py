@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
 
+UPRIGHT_ROWS = 6
+"""A table with at most so many rows is printed with one line a column."""
+FILE_WIDTH = 160
+EMPTY = "–"
+
 
 def add_commands(app: typer.Typer) -> None:
     """Put this file's commands into the application."""
@@ -127,23 +132,51 @@ def json_value(value: Any) -> Any:
 
 
 def print_table(table: pd.DataFrame) -> None:
-    """A table on standard output, as wide as the terminal or, in a file, as wide as it needs."""
+    """A table on standard output: upright where it has few rows, else in blocks of columns that fit."""
     from rich.console import Console
     from rich.table import Table
 
-    terminal = sys.stdout.isatty()
-    shown = Table(box=None, header_style="bold", pad_edge=False)
-    for name in table.columns:
-        text = table[name].dtype.kind not in "fiu"
-        shown.add_column(str(name), justify="left" if text else "right", overflow="fold")
-    for row in table.itertuples(index=False):
-        shown.add_row(*(_cell(value) for value in row))
-    Console(width=None if terminal else 1000, highlight=False, markup=False).print(shown)
+    console = Console(width=None if sys.stdout.isatty() else FILE_WIDTH, highlight=False, markup=False)
+    columns = [[str(name), *map(_cell, table[name])] for name in table.columns]
+    columns = [column for column in columns if set(column[1:]) - {"", EMPTY}]
+    if len(table) <= UPRIGHT_ROWS:
+        blocks = [[list(row) for row in zip(*columns, strict=True)]]
+    else:
+        # Everything up to "runs" names a row; it is repeated in every block.
+        names = [column[0] for column in columns]
+        keys = names.index("runs") if "runs" in names else 1
+        blocks = _blocks(columns[:keys], columns[keys:], console.width)
+    for block in blocks:
+        shown = Table(box=None, header_style="bold", pad_edge=False)
+        for index, column in enumerate(block):
+            shown.add_column(column[0], justify="left" if index == 0 else "right", no_wrap=True)
+        for row in list(zip(*block, strict=True))[1:]:
+            shown.add_row(*row)
+        console.print(shown)
+
+
+def _blocks(keys: list[list[str]], columns: list[list[str]], width: int) -> list[list[list[str]]]:
+    """Columns in groups as wide as fit beside the keys."""
+    gap = 2
+
+    def wide(column: list[str]) -> int:
+        return max(map(len, column)) + gap
+
+    left = width - sum(map(wide, keys))
+    blocks: list[list[list[str]]] = []
+    room = 0
+    for column in columns:
+        if not blocks or wide(column) > room:
+            blocks.append([*keys])
+            room = left
+        blocks[-1].append(column)
+        room -= wide(column)
+    return blocks
 
 
 def _cell(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
+        return EMPTY
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -86,7 +86,7 @@ def test_first_fault_judges_correlations_not_units() -> None:
     good = np.diag([1e4, 1e-12, 0.0])
     covariances = np.stack([np.zeros((3, 3)), good, good, good])
     assert first_fault(poses, covariances) is None
-    # Indefinite by its small entries: the eigenvalue -1e-13 is 1e-17 of the largest, yet a correlation of 1.1.
+    # Indefinite by its small entries: an eigenvalue 1e-17 of the largest, yet a correlation of 1.1.
     worse = np.array([[1e4, 0.0, 0.0], [0.0, 1e-12, 1.1e-12], [0.0, 1.1e-12, 1e-12]])
     assert first_fault(poses, np.stack([good, good, worse, worse]))[0] == 2
     skew = good + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
