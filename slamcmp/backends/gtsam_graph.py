@@ -162,7 +162,7 @@ def require_definite(covariance: FloatArray, what: str) -> None:
 def diverged(back_end: str, k: int, error: Exception) -> DivergedError:
     """A GTSAM failure at frame k as the error that becomes a table row."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    if "ndeterminant" in str(error):
+    if "ndetermina" in str(error):
         cause = (
             "the linear system is not positive definite: a path within centimetres of a landmark, a landmark "
             "too weakly observed, or noise of very different sizes; try factorization 'qr', a minimum range "
