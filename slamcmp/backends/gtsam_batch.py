@@ -120,11 +120,16 @@ class Batch:
             self._P = A @ self._P @ A.T + frame.Q
         if self._every and frame.k % self._every == 0:
             solution = self._solve()
+            # Kept for the frames in between, which odometry carries on from here.
             self._pose = self._pose_in(solution.values, frame.k).matrix()
             self._P = solution.covariance(pose_key(frame.k))
 
     def estimate(self) -> Estimate:
-        """The newest pose from the last causal solve, or from the warm start (see the class)."""
+        """The newest pose: at the optimum once solved for, else from the warm start (see the class)."""
+        if self._solution is not None:
+            k = len(self._t) - 1
+            solution = self._solution
+            return Estimate(self._pose_in(solution.values, k).matrix(), solution.covariance(pose_key(k)))
         if self._every or self._incremental is None:
             return Estimate(self._pose, self._P)
         incremental = self._incremental
