@@ -91,8 +91,9 @@ def _draw_budget(axes: Axes, results: Results, table: pd.DataFrame) -> set[str]:
             marker=marker,
             markersize=5.0 + 2.0 * style.widths(results)[str(label)],
             markeredgecolor="white",
-            linewidth=0.9,
-            linestyle="-" if len(middle) <= 12 else "",
-            capsize=2,
+            linewidth=0.8,
+            linestyle="",
         )
+        if len(middle) <= 12:
+            axes.plot(middle["ms"], middle["error_m"], color=colour, alpha=0.45, linewidth=0.8)
     return {str(label) for label in table["label"]}

@@ -48,7 +48,7 @@ def plot_map(results: Results) -> Figure:
     shown = [label for label in labels(results) if not rows_of(results.frames, trial, label).empty]
     first = rows_of(results.frames, trial, shown[0])
     limits = _limits(results, trial, shown)
-    columns = min(3, len(shown))
+    columns = 2 if len(shown) == 4 else min(3, len(shown))
     rows = math.ceil(len(shown) / columns)
     aspect = (limits[3] - limits[2]) / (limits[1] - limits[0])
     panel = 10.0 / columns
@@ -162,6 +162,8 @@ def _panel_title(results: Results, trial: int, label: str) -> str:
         for which in ("online", "final")
         if f"{which}_ate" in row and pd.notna(row[f"{which}_ate"])
     ]
+    if len(parts) == 1 and parts[0].startswith("online"):
+        parts.append("no final trajectory")
     if row["status"] != "ok":
         parts.append(str(row["status"]))
     return "\n".join([label, *parts])

@@ -31,13 +31,16 @@ PANELS = (
     ("ms", "time [ms per frame]"),
 )
 
+DODGE = 0.012
+"""Share of the axis between two back ends at one swept value: equal results must not hide one another."""
+
 
 @figures.register(
     "sweep",
     title="Sweep",
     needs=("trials: at least one swept path with two values",),
     caption=(
-        "Median over the finished runs of each grid point, with the quartiles as a band. Dashed: online "
+        "Median over the finished runs of each grid point, with the quartiles as bars. Dashed: online "
         "(causal); solid: final (hindsight). Time: updates and estimates of the online answer. Numbers at "
         "the top of the first panel count failed runs, which are in no median."
     ),
@@ -96,21 +99,27 @@ def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, me
             table = quartiles_by(own, path, column)
             # Along the axis, where names stand in the order of the sweep.
             table = table.loc[[value for value in positions if value in table.index]]
-            x = [positions[value] for value in table.index]
+            x = _side_by_side(positions, labels(results).index(label) - (len(labels(results)) - 1) / 2)
             colour, marker = style.colours(results)[label], style.markers(results)[label]
-            axes.fill_between(x, table[0.25], table[0.75], color=colour, alpha=0.15, linewidth=0)
-            solid = "-" if metric == "ms" else line
-            width = style.widths(results)[label]
-            options: dict[str, Any] = {"linestyle": solid, "marker": marker, "markersize": 2.5 + 1.5 * width}
-            axes.plot(x, table[0.5], color=colour, linewidth=width, **options)
+            axes.errorbar(
+                [x[value] for value in table.index],
+                table[0.5],
+                yerr=[table[0.5] - table[0.25], table[0.75] - table[0.5]],
+                color=colour,
+                linestyle="-" if metric == "ms" else line,
+                linewidth=1.1,
+                elinewidth=0.9,
+                marker=marker,
+                markersize=4.5,
+            )
             drawn.append(table.to_numpy(dtype=float).ravel())
     if drawn:
         style.log_if_wide(axes, np.concatenate(drawn), ratio=4.0)
     if metric == "pose_nees":
         expected = 6 if has_values(results.frames, ["online_err_5"]) else 3
         axes.axhline(expected, color="#444444", linewidth=0.8, linestyle=":", zorder=0.6)
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in positions):
-        style.log_if_wide(axes, np.array(list(positions.values()), dtype=float), "x", 5.0)
+    if _logarithmic(positions):
+        style.log_axis(axes, "x")
     axes.set_xticks(list(positions.values()), [value_text(value) for value in positions])
     axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
 
@@ -121,6 +130,21 @@ def _positions(values: pd.Series[Any]) -> dict[Any, float]:
     if all(isinstance(v, int | float | np.number) and not isinstance(v, bool | np.bool_) for v in distinct):
         return {value: float(value) for value in sorted(distinct)}
     return {value: float(index) for index, value in enumerate(distinct)}
+
+
+def _logarithmic(positions: dict[Any, float]) -> bool:
+    places = list(positions.values())
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in positions)
+    return numbers and min(places) > 0 and max(places) > 5.0 * min(places)
+
+
+def _side_by_side(positions: dict[Any, float], step: float) -> dict[Any, float]:
+    """The positions moved by ``step`` times :data:`DODGE` of the axis."""
+    low, high = min(positions.values()), max(positions.values())
+    if _logarithmic(positions):
+        factor = (high / low) ** (DODGE * step)
+        return {value: place * factor for value, place in positions.items()}
+    return {value: place + DODGE * step * (high - low) for value, place in positions.items()}
 
 
 def _count_failures(axes: Axes, results: Results, rows: pd.DataFrame, path: str) -> None:
