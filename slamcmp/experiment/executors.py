@@ -97,7 +97,7 @@ class Processes:
         self._running = []
 
 
-@executors.register("serial")
+@executors.register("serial", in_process=True)
 class Serial:
     """Every job in this process, one after the other: for debuggers and ``print``.
 

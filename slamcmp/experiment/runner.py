@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
+import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -126,17 +130,17 @@ def run_experiment(
     begin = time.monotonic()
     manifest = describe_origin(experiment, command)
     slots = jobs or available_cores()
-    workers: Executor = executors.get(executor).target(slots=slots)
-    with locked(folder):
+    place = executors.get(executor)
+    workers: Executor = place.target(slots=slots)
+    with locked(folder), interruptions(catch=not place.traits.get("in_process", False)) as stop:
         plan = plan_experiment(experiment, folder, rerun_failed=rerun_failed)
         todo = len(plan.runs) + len(plan.streams)
-        interrupted = False
         with watching(todo, show=progress) as watcher:
-            schedule = _Schedule(plan, folder, workers, watcher, experiment)
+            schedule = _Schedule(plan, folder, workers, watcher, experiment, stop)
             try:
                 schedule.run_all()
             except KeyboardInterrupt:
-                interrupted = True
+                stop.set()
             except StorageError:
                 # The tables would meet the same full disk; the runs that were written are kept as they are.
                 workers.close()
@@ -157,9 +161,34 @@ def run_experiment(
         save_results(results)
     if schedule.fatal is not None:
         raise schedule.fatal
-    if interrupted:
+    if stop.is_set() and manifest["jobs_missing"]:
         raise Interrupted(results)
     return results
+
+
+@contextlib.contextmanager
+def interruptions(*, catch: bool) -> Iterator[threading.Event]:
+    """An event that Ctrl-C sets; a second Ctrl-C raises KeyboardInterrupt as usual.
+
+    Raised at once, it could fall into a finaliser, where Python drops exceptions, and be lost.
+    """
+    stop = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not (catch and in_main_thread and callable(before)):
+        yield stop
+        return
+
+    def note(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            before(number, frame)
+        stop.set()
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def available_cores() -> int:
@@ -173,8 +202,15 @@ class _Schedule:
     """Keeps the workers busy: a stream first, then the back ends that wait for it."""
 
     def __init__(
-        self, plan: Plan, folder: Path, workers: Executor, watcher: Watcher, experiment: Experiment
+        self,
+        plan: Plan,
+        folder: Path,
+        workers: Executor,
+        watcher: Watcher,
+        experiment: Experiment,
+        stop: threading.Event,
     ) -> None:
+        self._stop = stop
         self._folder, self._workers, self._watcher = folder, workers, watcher
         self._several_trials = len(plan.trials) > 1
         share = machine_memory_mb() * MEMORY_SHARE / workers.slots
@@ -200,13 +236,15 @@ class _Schedule:
 
     def run_all(self) -> None:
         running = 0
-        while (self._ready and self.fatal is None) or running:
+        while ((self._ready and self.fatal is None) or running) and not self._stop.is_set():
             while self._ready and running < self._workers.slots and self.fatal is None:
                 self._start(self._ready.popleft())
                 running += 1
             for ended in self._workers.wait(LOOK_EVERY_S):
                 running -= 1
-                self._finish(ended)
+                # A worker that Ctrl-C hit while it was starting has not failed.
+                if not (ended.fault and self._stop.is_set()):
+                    self._finish(ended)
             self._watcher.advanced(self._workers.frames_done())
 
     def _suffix(self, trial: Trial) -> str:

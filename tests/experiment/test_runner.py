@@ -56,7 +56,7 @@ def test_each_kind_of_failure_is_a_row_and_takes_nothing_else_with_it(
         "Loops",
         "Hog",
     ]
-    path = write_experiment(back_ends=names, time_limit_s=1.0, memory_limit_mb=500)
+    path = write_experiment(back_ends=names, time_limit_s=1.0, memory_limit_mb=150)
     results = run_experiment(path, folder=tmp_path / "r", jobs=2)
     assert list(results.trials["label"]) == names
     expected = {

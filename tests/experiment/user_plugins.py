@@ -116,7 +116,7 @@ class Loops(DeadReckoning):
 
 class Hog(DeadReckoning):
     def misbehave(self) -> None:
-        self.hoard = [np.ones(10_000_000) for _ in range(1000)]
+        self.hoard = [np.ones(1_000_000) for _ in range(10_000)]
 
 
 class MeetsAFullDisk(DeadReckoning):
