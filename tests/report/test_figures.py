@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from slamcmp.errors import UsageError
 from slamcmp.registry import figures
-from slamcmp.report import draw_figures, style
+from slamcmp.report import draw_figures, style, summary_table
 from slamcmp.report.budget_figure import budget_points, plot_budget
 from slamcmp.report.consistency_figure import binned_nis, plot_consistency
 from slamcmp.report.errors_figure import plot_errors
@@ -23,6 +23,7 @@ from slamcmp.report.map_figure import ellipse_95, plot_map
 from slamcmp.report.selection import NotDrawable, typical_trial
 from slamcmp.report.sweep_figure import plot_sweep
 from slamcmp.report.time_figure import binned_times, plot_time
+from slamcmp.types import GroundTruth, Run, Trajectory
 
 
 @pytest.fixture(autouse=True)
@@ -200,13 +201,47 @@ def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_p
         plot_consistency(nothing_known)
 
 
-def test_results_of_runs_that_all_crashed_at_once(tabulated, swept):
+def test_results_of_runs_that_all_crashed_at_once(swept):
     trials = swept.trials.assign(status="crashed", completion=0.0)
     empty = dataclasses.replace(swept, trials=trials, frames=swept.frames[:0], landmarks=swept.landmarks[:0])
     drawn = {figure.name: figure for figure in each_figure(empty)}
     assert drawn["map"].reason == "no run has a trajectory"
     assert drawn["time"].reason == "no run has times"
     assert drawn["budget"].figure is None
+
+
+def test_poses_in_space_have_six_rows_and_six_degrees_of_freedom(tabulated):
+    poses = np.broadcast_to(np.eye(4), (5, 4, 4)).copy()
+    poses[:, 0, 3] = np.arange(5)
+    truth = GroundTruth(np.arange(5.0), poses, np.array([7]), np.array([[1.0, 2.0, 3.0]]))
+    estimated = poses.copy()
+    estimated[:, 2, 3] -= 0.4
+    P = np.broadcast_to(np.diag([0.01, 0.01, 0.01, 0.04, 0.04, 0.16]), (5, 6, 6))
+    run = Run(
+        back_end="spatial",
+        parameters={},
+        digest="0" * 64,
+        seed=None,
+        frames=5,
+        status="ok",
+        message="",
+        online=Trajectory(truth.t, estimated, P),
+        update_s=np.full(5, 1e-3),
+        estimate_s=np.full(5, 1e-3),
+    )
+    results = tabulated([({}, truth, "truth", [run])])
+    figure = plot_errors(results)
+    assert [axes.get_ylabel() for axes in figure.axes[::5]] == ["rotation x [deg]", "body z [m]"]
+    # 0.4 m along z with sigma 0.4 m.
+    np.testing.assert_allclose(figure.axes[5].lines[0].get_ydata(), 0.4)
+    band = figure.axes[5].collections[0].get_paths()[0].vertices[:, 1]
+    assert band.max() == pytest.approx(1.2)
+    nees = plot_consistency(results).axes[0]
+    np.testing.assert_allclose(nees.lines[0].get_ydata(), 1.0)
+    assert "expected 6" in nees.get_title(loc="left")
+    assert ellipses(plot_map(results).axes[0])[0].width == pytest.approx(0.4 * math.sqrt(chi2.ppf(0.95, 2)))
+    assert "online ATE, SE(3)-aligned [m]" not in summary_table(results).columns
+    assert summary_table(results)["online ATE [m]"].tolist() == [pytest.approx(0.4)]
 
 
 def test_an_unknown_figure_is_a_usage_error(one_trial, tmp_path):
