@@ -13,7 +13,6 @@ from slamcmp.report.selection import (
     labels,
     point_name,
     reference_name,
-    rows_of,
     swept_columns,
 )
 from slamcmp.report.summary import ENOUGH_SEEDS
@@ -82,16 +81,15 @@ def _failed(results: Results) -> Caution | None:
 def _healthy_but_far(results: Results) -> Caution | None:
     if not has_values(results.trials, ["nis_per_dof"]) or results.frames.empty:
         return None
+    distances = {
+        key: distance_in_sigmas(rows) for key, rows in results.frames.groupby(["trial", "label"], sort=False)
+    }
     parts = []
     for label in labels(results):
         own = results.trials[results.trials["label"] == label]
         healthy = own[own["nis_per_dof"].between(*HEALTHY_NIS)]
-        distances = pd.Series(
-            [distance_in_sigmas(rows_of(results.frames, int(trial), label)) for trial in healthy["trial"]],
-            index=healthy.index,
-            dtype=float,
-        )
-        far = distances[distances > FAR_SIGMAS]
+        sigmas = healthy["trial"].map(lambda trial, label=label: distances.get((trial, label), np.nan))
+        far = sigmas[sigmas > FAR_SIGMAS]
         if far.empty:
             continue
         nis = healthy.loc[far.index, "nis_per_dof"].median()
