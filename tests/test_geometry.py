@@ -7,7 +7,7 @@ import math
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -59,7 +59,7 @@ def central(function, xi: np.ndarray, step: float = 1e-5) -> np.ndarray:
 
 
 @given(pairs)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, derandomize=True)
 def test_group_axioms(xis):
     A, B, C = (g.exp(xi) for xi in xis)
     identity = np.eye(len(A))
@@ -73,7 +73,7 @@ def test_group_axioms(xis):
 
 
 @given(tangents)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100, deadline=None, derandomize=True)
 def test_log_undoes_exp(xi):
     np.testing.assert_allclose(g.log(g.exp(xi)), xi, rtol=0, atol=1e-10)
 
@@ -98,17 +98,32 @@ def test_half_turn_keeps_the_angle_in_the_half_open_interval():
 
 
 @given(tangents)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, derandomize=True)
 def test_exp_and_log_agree_with_gtsam(xi):
+    # gtsam's planar maps divide 1 - cos by the angle: below 1e-3 they lose digits, and the series decides.
+    assume(len(xi) == 6 or abs(xi[2]) > 1e-3)
     pose = gtsam.Pose2.Expmap(xi) if len(xi) == 3 else gtsam.Pose3.Expmap(xi)
     np.testing.assert_allclose(g.exp(xi), pose.matrix(), rtol=0, atol=1e-11)
-    kind = type(pose)
-    # gtsam's own logarithm is good to about 1e-8 where it switches to a series.
-    np.testing.assert_allclose(g.log(pose.matrix()), kind.Logmap(pose), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(g.log(pose.matrix()), type(pose).Logmap(pose), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("angle", TINY_TO_LARGE)
+@pytest.mark.parametrize("p", [3, 6])
+def test_exp_equals_the_power_series_of_its_generator(p, angle):
+    xi = np.array([3.0, -4.0, angle]) if p == 3 else spatial_tangent(angle)
+    n = 2 if p == 3 else 3
+    generator = np.zeros((n + 1, n + 1))
+    generator[:n, :n] = [[0, -angle], [angle, 0]] if p == 3 else g.hat(xi[:3])
+    generator[:n, n] = xi[:2] if p == 3 else xi[3:]
+    term, series = np.eye(n + 1), np.eye(n + 1)
+    for k in range(1, 60):
+        term = term @ generator / k
+        series = series + term
+    np.testing.assert_allclose(g.exp(xi), series, rtol=0, atol=2e-14)
 
 
 @given(st.one_of(st.tuples(planar, planar), st.tuples(spatial(), spatial())))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, derandomize=True)
 def test_adjoint_moves_a_perturbation_to_the_other_side(xis):
     T, xi = g.exp(xis[0]), 0.1 * xis[1] / 50
     np.testing.assert_allclose(T @ g.exp(xi) @ g.inverse(T), g.exp(g.adjoint(T) @ xi), rtol=0, atol=1e-10)
@@ -183,7 +198,7 @@ def test_batch_axes_give_what_single_calls_give():
 
 
 @given(spatial())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, derandomize=True)
 def test_quaternions_round_trip(xi):
     R = g.so3_exp(xi[:3])
     q = g.quaternion(R)

@@ -14,6 +14,7 @@ from scipy.special import chdtri
 
 from slamcmp import geometry as g
 from slamcmp.errors import UsageError
+from slamcmp.models.motion import Unicycle, increment_covariance
 from slamcmp.models.sensors import RangeBearing
 from slamcmp.registry import sources
 from slamcmp.types import Frame, Log, MeasurementStream
@@ -165,6 +166,16 @@ def test_odometry_noise_has_the_covariance_it_states(odometry):
     assert np.abs(whitened.mean(axis=0)).max() < bound
     assert np.abs((whitened[1:] * whitened[:-1]).mean(axis=0)).max() < bound
     assert abs((whitened[:, 0] * whitened[:, 1]).mean()) < bound
+
+
+def test_odometry_covariance_knows_only_what_was_measured():
+    """Q belongs to the noisy controls, which the increment gives away where there is no side slip."""
+    log = make("random", steps=50, lateral_sigma_m=0.0, speed_sigma_m_s=0.2, turn_sigma_deg_s=10.0)
+    twist = g.log(log.T_prev_body[1:])
+    np.testing.assert_allclose(twist[:, 1], 0.0, rtol=0, atol=2e-9)
+    noise = np.diag([0.2, math.radians(10.0)]) ** 2
+    expected = increment_covariance(Unicycle(), twist[:, [0, 2]], noise, 1.0)
+    np.testing.assert_allclose(log.Q[1:], expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_position"])
