@@ -42,6 +42,15 @@ class Quadratic:
         slope = self.Lam @ step
         return Quadratic(self.Lam, self.eta - slope, self.c + float(step @ (slope - 2.0 * self.eta)))
 
+    def with_pose_error(self, J: FloatArray) -> Quadratic:
+        """The same as a function of another pose error, of which the first p states are J (p, p) times."""
+        p = J.shape[0]
+        Lam, eta = self.Lam.copy(), self.eta.copy()
+        Lam[:p] = J.T @ Lam[:p]
+        Lam[:, :p] = Lam[:, :p] @ J
+        eta[:p] = J.T @ eta[:p]
+        return Quadratic(Lam, eta, self.c)
+
     def eliminated(self, states: IntArray) -> Quadratic:
         """The minimum over ``states``, as a function of the others in their order.
 
@@ -76,16 +85,9 @@ class Prior:
 
     def linearised(self, T: FloatArray, landmarks: FloatArray) -> Quadratic:
         """The cost as a function of the body-tangent and landmark errors at another point."""
-        p = self.quadratic.eta.size - self.landmarks.size
         difference, J = self._difference(T)
         offset = np.concatenate([difference, (landmarks - self.landmarks).ravel()])
-        moved = self.quadratic.recentred(offset)
-        Lam = moved.Lam.copy()
-        Lam[:p] = J.T @ Lam[:p]
-        Lam[:, :p] = Lam[:, :p] @ J
-        eta = moved.eta.copy()
-        eta[:p] = J.T @ eta[:p]
-        return Quadratic(Lam, eta, moved.c)
+        return self.quadratic.recentred(offset).with_pose_error(J)
 
     def _difference(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
         relative = inverse(self.T) @ T
@@ -119,10 +121,4 @@ def world_axes(T: FloatArray) -> FloatArray:
 
 def in_world_axes(quadratic: Quadratic, T: FloatArray) -> Quadratic:
     """The quadratic of a body-tangent error at T (first p states) on its world components."""
-    to_body = world_axes(T).T
-    p = to_body.shape[0]
-    Lam, eta = quadratic.Lam.copy(), quadratic.eta.copy()
-    Lam[:p] = to_body.T @ Lam[:p]
-    Lam[:, :p] = Lam[:, :p] @ to_body
-    eta[:p] = to_body.T @ eta[:p]
-    return Quadratic(Lam, eta, quadratic.c)
+    return quadratic.with_pose_error(world_axes(T).T)

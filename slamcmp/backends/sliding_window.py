@@ -32,7 +32,13 @@ from numpy.typing import NDArray
 from slamcmp.backends.gauss_newton import GaussNewtonStep
 from slamcmp.backends.marginalisation import Prior, Quadratic, in_world_axes
 from slamcmp.backends.whitening import whitener, whiteners
-from slamcmp.backends.window_cost import ObservationTerms, OdometryTerms, observation_terms, odometry_terms
+from slamcmp.backends.window_cost import (
+    ObservationTerms,
+    OdometryTerms,
+    observation_terms,
+    odometry_terms,
+    tangent_turn,
+)
 from slamcmp.geometry import exp
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
@@ -101,6 +107,8 @@ class SlidingWindow:
         self._pose_pinned, self._pinned = False, 0
 
         self._step: GaussNewtonStep
+        # From the axes in which the step was computed to those in which covariances are told, (K, p, p).
+        self._turn: FloatArray
         self._joint: FloatArray | None = None
         self._used, self._last_size = 0, 0.0
         self._dof = 0
@@ -119,7 +127,7 @@ class SlidingWindow:
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
-        return Estimate(self._T[-1], self._step.last_pose_covariance())
+        return Estimate(self._T[-1], turned(self._step.last_pose_covariance(), self._turn[-1]))
 
     def landmarks(self) -> Landmarks:
         """The landmarks in the state, in the order of first sight."""
@@ -139,7 +147,7 @@ class SlidingWindow:
         With ``window: null`` every pose with full hindsight; with window 1 the filter's own estimates.
         """
         poses = [T for T, _ in self._left] + list(self._T)
-        covariances = [P for _, P in self._left] + list(self._step.pose_covariances())
+        covariances = [P for _, P in self._left] + list(turned(self._step.pose_covariances(), self._turn))
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
 
     def diagnostics(self) -> Mapping[str, float]:
@@ -214,9 +222,14 @@ class SlidingWindow:
                 len(self._landmarks),
                 self._n,
             )
-            self._T = self._T @ exp(step.pose_step)
+            before = self._T
+            self._T = before @ exp(step.pose_step)
             self._landmarks = self._landmarks + step.landmark_step
             self._recentre(step)
+            if self._first_estimates:
+                self._turn_axes(tangent_turn(self._T, before))
+            else:
+                self._turn = np.broadcast_to(np.eye(self._p), (len(before), self._p, self._p))
             self._step, self._joint, self._used = step, None, iteration
             sizes = np.abs(step.pose_step).max(), np.abs(step.landmark_step).max(initial=0.0)
             self._last_size = float(max(sizes))
@@ -264,9 +277,16 @@ class SlidingWindow:
         moved = np.concatenate([step.pose_step[0], step.landmark_step[:known].ravel()])
         self._linear_prior = self._linear_prior.recentred(moved)
 
+    def _turn_axes(self, turn: FloatArray) -> None:
+        """Read linear terms in the axes of the new estimate: a first-estimates error keeps its world axes."""
+        self._turn = turn
+        self._odometry.turn(turn)
+        self._observations.turn(turn[self._pose_of])
+        self._linear_prior = self._linear_prior.with_pose_error(turn[0].T)
+
     def _marginalise_oldest(self, seen_now: set[int]) -> None:
         """Turn the oldest pose's costs into a prior on the next pose and the landmarks."""
-        self._left.append((self._T[0], self._step.first_pose_covariance()))
+        self._left.append((self._T[0], turned(self._step.first_pose_covariance(), self._turn[0])))
         leaving = self._pose_of == 0
         quadratic, known = self._cost_of_oldest(leaving)
         quadratic = quadratic.eliminated(np.arange(self._p))
@@ -338,4 +358,12 @@ class SlidingWindow:
     def _cached_joint(self) -> FloatArray:
         if self._joint is None:
             self._joint = self._step.joint_covariance()
+            p, turn = self._p, self._turn[-1]
+            self._joint[:p] = turn @ self._joint[:p]
+            self._joint[:, :p] = self._joint[:, :p] @ turn.T
         return self._joint
+
+
+def turned(P: FloatArray, turn: FloatArray) -> FloatArray:
+    """Covariances (..., p, p) in other axes."""
+    return turn @ P @ np.swapaxes(turn, -1, -2)

@@ -47,6 +47,11 @@ class OdometryTerms:
         self.b += np.einsum("kij,kj->ki", self.A_prev, step[:-1])
         self.b += np.einsum("kij,kj->ki", self.A_next, step[1:])
 
+    def turn(self, turn: FloatArray) -> None:
+        """Read pose errors in other axes: ``turn`` (K, p, p) is orthogonal, new axes from old ones."""
+        back = np.swapaxes(turn, 1, 2)
+        self.A_prev, self.A_next = self.A_prev @ back[:-1], self.A_next @ back[1:]
+
 
 @dataclass
 class ObservationTerms:
@@ -63,6 +68,10 @@ class ObservationTerms:
         """Move the origin of delta by the steps (M, p) and (M, n) of each observation's two variables."""
         self.b += np.einsum("mij,mj->mi", self.H_pose, step)
         self.b += np.einsum("mij,mj->mi", self.H_land, land_step)
+
+    def turn(self, turn: FloatArray) -> None:
+        """Read pose errors in other axes: ``turn`` (M, p, p) is orthogonal, new axes from old ones."""
+        self.H_pose = self.H_pose @ np.swapaxes(turn, 1, 2)
 
 
 def odometry_terms(
