@@ -10,7 +10,8 @@ observes it at zero offset with ``place_sigma_m``, and the edge becomes an obser
 translation part of the edge's covariance. What is lost: the relative heading that the edge measured and its
 correlation with the position; what is added: the slack ``place_sigma_m``. Poses that the file declares to be
 at one place (EQUIV) share one landmark; in w100 and w10000 such pairs are noise apart (median 0.02 m, at
-most 0.1 m at the optimum of all edges) and each has an edge of its own.
+most 0.1 m at the optimum of all edges) and each has an edge of its own. Those two files state unit
+information although their noise is 0.04 m and rad: chi-squared per degree of freedom is near 0.002 there.
 """
 
 from __future__ import annotations
