@@ -1,0 +1,1 @@
+"""From images to verified matches; nothing here is imported for planar data, which needs no OpenCV."""

@@ -1,0 +1,95 @@
+"""Read images and say what is wrong with those that cannot be used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.errors import DataError, MissingDataError
+
+GrayImage = NDArray[np.uint8]
+Size = tuple[int, int]
+
+_FLAT_SIGMA = 1.0
+"""Grey levels; below this standard deviation an image holds nothing but sensor noise."""
+
+
+def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
+    """Read a photograph as 8-bit grey values, (height, width); colour is converted.
+
+    Args:
+        path: any format that OpenCV reads.
+        size: (width, height) in pixels that the calibration is for; None takes any.
+
+    Raises:
+        MissingDataError: there is no such file.
+        DataError: not an image, truncated, not 8 bits a channel, or of another size.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingDataError(f"{path}: there is no such image")
+    data = path.read_bytes()
+    if _is_truncated(data):
+        raise DataError(f"{path}: the image file is truncated ({len(data)} bytes, no end marker)")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise DataError(f"{path}: not an image that can be decoded, or damaged ({len(data)} bytes)")
+    image = np.asarray(image)
+    if image.dtype != np.uint8:
+        raise DataError(
+            f"{path}: {8 * image.dtype.itemsize} bits a channel where 8 are needed; is it a depth image? "
+            "Else convert it with the range of values that matters"
+        )
+    if image.ndim == 3:
+        channels = image.shape[2]
+        if channels == 1:
+            image = image[:, :, 0]
+        else:
+            image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY if channels == 4 else cv2.COLOR_BGR2GRAY)
+    grey = np.ascontiguousarray(image, dtype=np.uint8)
+    problem = _shape_problem(grey, size)
+    if problem:
+        raise DataError(f"{path}: {problem}")
+    return grey
+
+
+def image_problem(image: object, *, size: Size | None = None) -> str:
+    """Why features cannot be taken from ``image``, in one phrase for a count; empty if they can.
+
+    A sequence skips such a frame and counts the phrase: a camera that was covered is no reason to stop.
+    """
+    if not isinstance(image, np.ndarray) or image.size == 0:
+        return "no image"
+    if image.dtype != np.uint8:
+        return f"{8 * image.dtype.itemsize} bits a channel where 8 are needed"
+    if image.ndim != 2:
+        return "colour where grey values are needed"
+    problem = _shape_problem(image, size)
+    if problem:
+        return problem
+    if float(image.std()) < _FLAT_SIGMA:
+        return "all black" if float(image.mean()) < 8 else "no contrast"
+    return ""
+
+
+def _shape_problem(image: GrayImage, size: Size | None) -> str:
+    height, width = image.shape
+    if size is not None and (width, height) != size:
+        return f"{width}×{height} pixels where {size[0]}×{size[1]} are needed"
+    return ""
+
+
+def _is_truncated(data: bytes) -> bool:
+    """Whether a JPEG or PNG stops before its end marker: some OpenCV versions then fill up with grey."""
+    if data.startswith(b"\xff\xd8"):
+        # Inside the coded picture FF is always followed by 00 or a restart marker, never by D9 or DA.
+        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xda" not in data
+    if data.startswith(b"\x89PNG"):
+        return b"IEND" not in data[-64:]
+    return False
