@@ -1,0 +1,84 @@
+"""Match binary descriptors: nearest neighbour, mutual and clearly better than the second best."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_NEVER = 0xFFFF
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Pairs of features that look alike, with the number lost at each test."""
+
+    pairs: IntArray
+    """(m, 2): index in the first image, index in the second."""
+    distance: IntArray
+    """Hamming distance, (m,) bits."""
+    tried: int
+    """Features of the first image that had any candidate."""
+    not_mutual: int
+    ambiguous: int
+
+
+def match_descriptors(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    *,
+    ratio: float = 0.8,
+    mutual: bool = True,
+    allowed: BoolArray | None = None,
+) -> Matches:
+    """Match descriptors (n, bytes) of one image to (m, bytes) of another by Hamming distance.
+
+    Args:
+        first: bits packed into bytes, as ORB gives them; the number of bytes is a multiple of 8.
+        second: the same of the other image.
+        ratio: a match stays if it is closer than this share of the second best (Lowe 2004, section 7.1);
+            1 switches the test off.
+        mutual: a match stays only if it is also the best one seen from the other image.
+        allowed: (n, m) mask of pairs that may match, for instance near a predicted place; None: all.
+    """
+    distance = hamming_distances(first, second)
+    if allowed is not None:
+        distance[~allowed] = _NEVER
+    rows = np.arange(len(first))
+    if distance.size == 0:
+        return Matches(np.empty((0, 2), np.int64), np.empty(0, np.int64), 0, 0, 0)
+    best = distance.argmin(axis=1)
+    closest = distance[rows, best].astype(np.int64)
+    passed = closest < _NEVER
+    tried = int(passed.sum())
+    if mutual:
+        passed &= distance.argmin(axis=0)[best] == rows
+    after_mutual = int(passed.sum())
+    if ratio < 1.0 and distance.shape[1] > 1:
+        distance[rows, best] = _NEVER
+        passed &= closest < ratio * distance.min(axis=1)
+    kept = np.flatnonzero(passed)
+    return Matches(
+        np.stack([kept, best[kept]], axis=-1).astype(np.int64),
+        closest[kept],
+        tried,
+        tried - after_mutual,
+        after_mutual - kept.size,
+    )
+
+
+def hamming_distances(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """How many bits differ, for every pair, (n, m).
+
+    One table serves the test in both directions, where a matcher would go through all pairs twice.
+    """
+    a = np.ascontiguousarray(first).view(np.uint64)
+    b = np.ascontiguousarray(second).view(np.uint64)
+    distance = np.zeros((len(a), len(b)), dtype=np.uint16)
+    for word in range(a.shape[1]):
+        distance += np.bitwise_count(a[:, word, None] ^ b[None, :, word])
+    return distance
