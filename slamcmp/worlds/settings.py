@@ -63,7 +63,7 @@ class Settings:
     prior_position_sigma_m: NotNegative = 1e-6
     prior_heading_sigma_rad: NotNegative = 1e-6
     noise_scale: Positive = 1.0
-    """Multiplies every sigma above, the prior's too: the way to study noise going to 0 (with resolution 0)."""
+    """Multiplies every sigma above, the prior's too: to study noise going to 0 (with resolution 0)."""
     resolution: NotNegative = 1e-9
     """What the sensors' numbers are rounded to, so that two machines' last bits agree; 0 keeps all bits."""
 
