@@ -43,8 +43,9 @@ class FixedLag:
             it (cost per frame stays flat, old landmarks close no loops).
         relinearize_threshold: as in ``isam2``; for ``incremental``.
         relinearize_skip: as in ``isam2``; for ``incremental``.
-        factorization: as in ``isam2``; for ``incremental``. ``cholesky`` is faster, but the marginalised past
-            is much vaguer than odometry, and with ``drop`` it fails on Victoria Park.
+        factorization: as in ``isam2``; for ``incremental``. Default: ``cholesky`` with ``keep``, where ``qr``
+            takes ten times as long, and ``qr`` with ``drop``, where the marginalised past becomes so vague
+            beside odometry that ``cholesky`` fails on Victoria Park.
         extra_updates: further Gauss-Newton steps a frame; for ``incremental``.
         robust: kernel on the observations' whitened residuals.
         robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
@@ -63,7 +64,7 @@ class FixedLag:
         landmarks: Literal["keep", "drop"] = "keep",
         relinearize_threshold: Annotated[float, Ge(0)] = 0.1,
         relinearize_skip: Annotated[int, Ge(1)] = 1,
-        factorization: Factorization = "qr",
+        factorization: Factorization | None = None,
         extra_updates: Annotated[int, Ge(0)] = 0,
         robust: RobustKernel = "none",
         robust_width: Annotated[float, Gt(0)] | None = None,
@@ -78,7 +79,7 @@ class FixedLag:
             parameters = isam2_parameters(
                 relinearize_threshold=relinearize_threshold,
                 relinearize_skip=relinearize_skip,
-                factorization=factorization,
+                factorization=factorization or ("qr" if self._drop else "cholesky"),
                 optimizer="gauss_newton",
             )
             # The smoother removes factors, and without reuse its list of them grows for ever.

@@ -99,8 +99,8 @@ class IncrementalSolver:
         return require_finite(joint, self._name, self.k)
 
     def values(self) -> Any:
-        """The current estimate of every variable."""
-        return self._isam.calculateEstimate()
+        """The current estimate of every variable, from a complete back-substitution."""
+        return self._isam.calculateBestEstimate()
 
     def graph(self) -> Any:
         """Every factor so far."""
