@@ -108,6 +108,26 @@ class JointCovariance:
         P_xx += Q
         P[:p, :p] = 0.5 * (P_xx + P_xx.T)
 
+    def inflate(self, W_t: FloatArray) -> None:
+        """``P += W W^T`` from W^T (k, n): noise that reaches every state."""
+        n = self._n
+        if self._full:
+            np.matmul(W_t.T, W_t, out=self._scratch)
+            self._buffer += self._scratch
+            return
+        self._add_product(1.0, W_t, n)
+
+    def turn_landmarks(self, C: FloatArray) -> None:
+        """Rotate every landmark's error by C (d, d): P_mm = D P_mm D^T, D block-diagonal of C."""
+        n, p, d = self._n, self._p, C.shape[0]
+        P = self.dense()
+        P[p:] = (C @ P[p:].reshape(-1, d, n)).reshape(-1, n)
+        P[:, p:] = (P[:, p:].reshape(n, -1, d) @ C.T).reshape(n, -1)
+        if self._full:
+            np.add(0.5 * P, 0.5 * P.T, out=self._buffer)
+        else:
+            self._buffer[:n, :n] = np.tril(P)
+
     def augment(self, G: FloatArray, N: FloatArray) -> None:
         """Add states s = G xi + noise of covariance N (a, a), uncorrelated with all else."""
         n, p, a = self._n, self._p, G.shape[0]
@@ -131,9 +151,12 @@ class JointCovariance:
             np.matmul(W_t.T, W_t, out=self._scratch)
             self._buffer -= self._scratch
             return
+        self._add_product(-1.0, W_t, n)
+
+    def _add_product(self, sign: float, W_t: FloatArray, n: int) -> None:
         padded = np.zeros((W_t.shape[0], self._buffer.shape[0]), order="F")
         padded[:, :n] = W_t
-        dsyrk(-1.0, padded, beta=1.0, c=self._buffer, trans=1, lower=1, overwrite_c=1)
+        dsyrk(sign, padded, beta=1.0, c=self._buffer, trans=1, lower=1, overwrite_c=1)
 
     def _reserve(self, size: int) -> None:
         if size <= self._buffer.shape[0]:
