@@ -1,0 +1,110 @@
+"""Iterated EKF-SLAM: the frame's cost minimised by Gauss–Newton instead of one step of it.
+
+The cost of a frame is |log(T_prior^-1 T)|² + |l - l_prior|² in the prior's covariance plus the whitened
+residuals of its observations (Bell and Cathey 1993). In the tangent s at the prior's mean, where the prior
+is quadratic, Gauss–Newton from iterate s_i is the Kalman update with y + H s_i in place of y; H is taken at
+the iterate and carried to that tangent by the right Jacobian. New landmarks fit exactly, so they only follow
+the pose's last linearisation. One iteration is ``ekf_slam``.
+
+========  =================================================================
+symbol    meaning
+========  =================================================================
+s         offset from the predicted mean, body tangent and world axes
+J         right Jacobian at the pose's part of s: d(tangent at s) = J ds
+y, H, R   stacked innovation, Jacobian and noise of the known landmarks
+========  =================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt
+from numpy.typing import NDArray
+
+from slamcmp.backends.covariance import block_diagonal
+from slamcmp.backends.ekf_charts import Chart
+from slamcmp.backends.error_state_ekf import ErrorStateEkf, stacked
+from slamcmp.backends.filter_history import Step
+from slamcmp.backends.linearisation import LatestEstimate
+from slamcmp.geometry import right_jacobian
+from slamcmp.registry import back_ends
+from slamcmp.types import Frame, Problem
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@back_ends.register("iterated_ekf")
+class IteratedEkf(ErrorStateEkf):
+    """EKF-SLAM that relinearises every frame's observations until the estimate rests.
+
+    Args:
+        problem: prior and sensor.
+        iterations: most Gauss–Newton steps a frame; 1 is the plain EKF.
+        tolerance: a step whose largest entry [m or rad] is below it is the last.
+        smooth: keep the history and offer ``trajectory()`` (RTS).
+
+    Raises:
+        DivergedError: an innovation covariance is not positive definite or not finite.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        iterations: Annotated[int, Ge(1)] = 10,
+        tolerance: Annotated[float, Gt(0)] = 1e-12,
+        smooth: bool = False,
+    ) -> None:
+        chart = Chart(problem.sensor.space_dim)
+        super().__init__(problem, chart, LatestEstimate(), new_landmarks="join_first", smooth=smooth)
+        self._iterations, self._tolerance = iterations, tolerance
+
+    def _observe(self, frame: Frame, numbers: IntArray) -> None:
+        known = numbers >= 0
+        p = self._chart.p
+        T_prior, landmarks_prior = self._T, self._landmarks
+        T_linear, since = T_prior, np.zeros(p)
+        s = np.zeros(p + landmarks_prior.size)
+        if known.any():
+            s_linear, touched, y, H, R = self._last_linearisation(
+                numbers[known], frame.z[known], frame.R[known]
+            )
+            s = self._condition(touched, y, H, R)
+            J = right_jacobian(s_linear[:p])
+            # The covariance belongs to the tangent at the point of linearisation, as the plain EKF's does.
+            self._P.propagate(J, np.zeros_like(J))
+            if self.history is not None:
+                self.history.events.append(Step(J))
+            T_linear = self._chart.retract(T_prior, landmarks_prior[:0], s_linear[:p])[0]
+            since = J @ (s[:p] - s_linear[:p])
+        new = ~known
+        if new.any():
+            self._T = T_linear
+            G = self._augment(frame.ids[new], frame.z[new], frame.R[new])
+            s = np.concatenate([s, G @ since])
+            landmarks_prior = self._landmarks
+        self._T, self._landmarks = self._chart.retract(T_prior, landmarks_prior, s)
+
+    def _last_linearisation(
+        self, numbers: IntArray, z: FloatArray, R: FloatArray
+    ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+        """Iterate on the touched states only; s (c,) where it ended, and the linear observation there."""
+        p, n = self._chart.p, self._chart.n
+        touched, R_all = self._touched(numbers), block_diagonal(R)
+        P = self._P.columns(touched, n)[touched]
+        seen_prior = self._landmarks[numbers]
+        s = np.zeros(touched.size)
+        for remaining in reversed(range(self._iterations)):
+            T, seen = self._chart.retract(self._T, seen_prior, s)
+            H_pose, H_land = self._sensor.jacobians(T, seen)
+            H = stacked(H_pose @ right_jacobian(s[:p]), H_land)
+            y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s
+            if remaining:
+                after = P @ H.T @ np.linalg.solve(H @ P @ H.T + R_all, y)
+                if np.abs(after - s).max() < self._tolerance:
+                    break
+                s = after
+        return s, touched, y, H, R_all
