@@ -54,7 +54,7 @@ class Batch:
         relative_error_tol: a solve stops when an iteration lowers the cost by less than this share.
         max_chi2_per_dof: a final solution above it counts as diverged: a wrong basin, or noise that the
             covariances do not describe. 3 lies far outside chance for any dof over 20.
-        final_covariances: give ``trajectory()`` a covariance for every pose.
+        final_covariances: give ``trajectory()`` a covariance for every pose (0.2 s for 7000 poses).
         robust: kernel on the observations' whitened residuals.
         robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 

@@ -44,7 +44,7 @@ class Isam2:
         optimizer: the step of each update.
         extra_updates: further Gauss-Newton steps a frame; with threshold 0 and skip 1 the estimate then
             converges to the batch solution.
-        final_covariances: give ``trajectory()`` a covariance for every pose, about 0.1 ms each.
+        final_covariances: give ``trajectory()`` a covariance for every pose (0.2 s for 7000 poses).
         robust: kernel on the observations' whitened residuals.
         robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 
