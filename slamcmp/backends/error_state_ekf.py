@@ -265,7 +265,7 @@ class ErrorStateEkf:
         frames, errors, P = self.history.smoothed_errors()
         none = np.empty((0, self._chart.n))
         poses = [
-            self._chart.retract(frame.T_world_body, none, error)[0]
+            self._chart.retract(frame.mean, none, error)[0]
             for frame, error in zip(frames, errors, strict=True)
         ]
         covariances = [sandwich(self._chart.to_body(T), block) for T, block in zip(poses, P, strict=True)]

@@ -65,11 +65,13 @@ class Growth:
 
 @dataclass(frozen=True)
 class FrameEnd:
-    """The filter's mean pose after a frame, and the pose's rows of P, (p, states)."""
+    """What the filter knew after a frame."""
 
     t: float
-    T_world_body: FloatArray
+    mean: FloatArray
+    """Its pose, or for a linear system its state."""
     rows: FloatArray
+    """The pose's rows of P, (p, states)."""
 
 
 Event = Step | Correction | Growth | FrameEnd

@@ -17,18 +17,19 @@ y, S, K   innovation, its covariance, Kalman gain
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from slamcmp.backends.covariance import block_diagonal
+from slamcmp.backends.filter_history import Correction, FrameEnd, Growth, History, Step
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.registry import back_ends
-from slamcmp.types import Estimate, Frame, Landmarks, Problem
+from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -39,17 +40,22 @@ class KalmanFilter:
     Args:
         x: prior mean, (s,).
         P: prior covariance, (s, s).
+        smooth: keep what :meth:`smoothed` needs; augmented states must then be constant ones.
     """
 
-    def __init__(self, x: FloatArray, P: FloatArray) -> None:
+    def __init__(self, x: FloatArray, P: FloatArray, *, smooth: bool = False) -> None:
         self.x = np.array(x, dtype=np.float64)
         self.P = np.array(P, dtype=np.float64)
+        self._s = self.x.size
+        self.history = History(self._s, self._s) if smooth else None
 
     def predict(self, A: FloatArray, Q: FloatArray, b: FloatArray | float = 0.0) -> None:
         """Propagate: x = A x + b, P = A P A^T + Q (Problem 3)."""
         self.x = A @ self.x + b
         P = A @ self.P @ A.T + Q
         self.P = 0.5 * (P + P.T)
+        if self.history is not None:
+            self.history.events.append(Step(A[: self._s, : self._s]))
 
     def correct(self, measurement: FloatArray, C: FloatArray, R: FloatArray) -> float:
         """Condition on ``measurement = C x + v`` (Problem 4); returns the squared innovation y^T S^-1 y.
@@ -69,6 +75,9 @@ class KalmanFilter:
         keep = np.eye(self.x.size) - K @ C
         P = keep @ self.P @ keep.T + K @ R @ K.T
         self.P = 0.5 * (P + P.T)
+        if self.history is not None:
+            H, W_t, e = (solve_triangular(S[0], right, lower=True) for right in (C, PCt.T, y))
+            self.history.events.append(Correction(np.arange(self.x.size), H, W_t, e))
         return float(y @ cho_solve(S, y))
 
     def augment(self, G: FloatArray, N: FloatArray, x_new: FloatArray) -> None:
@@ -77,6 +86,23 @@ class KalmanFilter:
         corner = cross @ G.T + N
         self.x = np.concatenate([self.x, x_new])
         self.P = np.block([[self.P, cross.T], [cross, 0.5 * (corner + corner.T)]])
+        if self.history is not None:
+            self.history.events.append(Growth(G[:, : self._s]))
+
+    def mark(self, t: float = 0.0) -> None:
+        """Have :meth:`smoothed` answer for this moment too."""
+        if self.history is not None:
+            self.history.events.append(FrameEnd(t, self.x[: self._s], self.P[: self._s]))
+
+    def smoothed(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (K, s) and covariance (K, s, s) of the first s states at each marked moment, given all data.
+
+        Rauch, Tung, Striebel 1965, in the form of filter_history.py. Needs ``smooth``.
+        """
+        if self.history is None:
+            raise UsageError("this Kalman filter kept no history; construct it with smooth=True")
+        frames, errors, P = self.history.smoothed_errors()
+        return np.array([frame.mean for frame in frames]).reshape(-1, self._s) + errors, P
 
 
 @back_ends.register("kalman_filter")
@@ -91,13 +117,23 @@ class KnownHeadingKalmanFilter:
         problem: planar, with the ``relative_position`` sensor.
         heading_sigma_max_deg: most heading noise a prior or an increment may carry and still be called
             known [deg].
+        smooth: keep the history and offer ``trajectory()`` (Rauch, Tung, Striebel).
 
     Raises:
         UsageError: another sensor, or a heading that is not known.
         DivergedError: the innovation covariance is not positive definite.
     """
 
-    def __init__(self, problem: Problem, *, heading_sigma_max_deg: Annotated[float, Ge(0)] = 0.01) -> None:
+    trajectory: Callable[[], Trajectory]
+    """Every pose with hindsight; exists only with ``smooth``, so that a plain filter is no smoother."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        heading_sigma_max_deg: Annotated[float, Ge(0)] = 0.01,
+        smooth: bool = False,
+    ) -> None:
         if problem.sensor.name != "relative_position" or problem.sensor.space_dim != 2:
             raise UsageError(
                 f"kalman_filter: sensor {problem.sensor.name!r} is not linear; use the planar "
@@ -108,7 +144,10 @@ class KnownHeadingKalmanFilter:
         self._R_world_body = problem.T_world_body[:2, :2]
         self._heading_variance = float(problem.P[2, 2])
         R = self._R_world_body
-        self._filter = KalmanFilter(problem.T_world_body[:2, 2], R @ problem.P[:2, :2] @ R.T)
+        self._filter = KalmanFilter(problem.T_world_body[:2, 2], R @ problem.P[:2, :2] @ R.T, smooth=smooth)
+        self._past: list[tuple[float, FloatArray, float]] = []
+        if smooth:
+            self.trajectory = self._smoothed
         self._number: dict[int, int] = {}
         self._nis, self._nis_dof = 0.0, 0
 
@@ -123,15 +162,13 @@ class KnownHeadingKalmanFilter:
             self._augment(frame, np.flatnonzero(new))
         if known.any():
             self._correct(frame, np.flatnonzero(known))
+        if self._filter.history is not None:
+            self._filter.mark()
+            self._past.append((frame.t, self._R_world_body, self._heading_variance))
 
     def estimate(self) -> Estimate:
         """The pose with its position covariance turned into the body tangent."""
-        T = np.eye(3)
-        T[:2, :2] = R = self._R_world_body
-        T[:2, 2] = self._filter.x[:2]
-        P = np.zeros((3, 3))
-        P[:2, :2] = R.T @ self._filter.P[:2, :2] @ R
-        P[2, 2] = self._heading_variance
+        T, P = _pose(self._R_world_body, self._filter.x[:2], self._filter.P[:2, :2], self._heading_variance)
         return Estimate(T, P)
 
     def landmarks(self) -> Landmarks:
@@ -159,6 +196,19 @@ class KnownHeadingKalmanFilter:
             "nis_dof": self._nis_dof,
             "landmarks": len(self._number),
         }
+
+    def _smoothed(self) -> Trajectory:
+        """Every pose given all observations; the heading is as it was."""
+        positions, P = self._filter.smoothed()
+        poses = [
+            _pose(R, position, block, variance)
+            for (_, R, variance), position, block in zip(self._past, positions, P, strict=True)
+        ]
+        return Trajectory(
+            np.array([t for t, _, _ in self._past]),
+            np.array([T for T, _ in poses]),
+            np.array([block for _, block in poses]),
+        )
 
     def _check_heading(self, covariance: FloatArray, what: str) -> None:
         variance = float(covariance[2, 2])
@@ -201,3 +251,14 @@ class KnownHeadingKalmanFilter:
             C[2 * i : 2 * i + 2, start : start + 2] = R_t
         self._nis = self._filter.correct(frame.z[rows].ravel(), C, block_diagonal(frame.R[rows]))
         self._nis_dof = 2 * rows.size
+
+
+def _pose(
+    R: FloatArray, position: FloatArray, P: FloatArray, heading_variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Pose (3, 3) and its body-tangent covariance (3, 3) from P (2, 2) of the position in world axes."""
+    T, block = np.eye(3), np.zeros((3, 3))
+    T[:2, :2], T[:2, 2] = R, position
+    block[:2, :2] = R.T @ P @ R
+    block[2, 2] = heading_variance
+    return T, block
