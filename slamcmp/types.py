@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -155,6 +155,20 @@ class Detections:
 
 
 @dataclass(frozen=True)
+class CameraFrame:
+    """What the robot's cameras delivered at one instant; all images have the size of the left one."""
+
+    image: NDArray[np.uint8] | None
+    """Grey values (height, width) of the left or only camera; None where there is no usable image."""
+    right: NDArray[np.uint8] | None = None
+    """The right camera's, rectified with the left one."""
+    depth_m: NDArray[np.float32] | None = None
+    """Depth along the optical axis [m], 0 where it is not known."""
+    problem: str = ""
+    """Why there is no usable image, as a phrase to count skipped frames by."""
+
+
+@dataclass(frozen=True)
 class GroundTruth:
     """What the estimators never see."""
 
@@ -198,6 +212,8 @@ class Log:
     detections: tuple[Detections, ...]
     """One entry a frame."""
     truth: GroundTruth | None = None
+    images: Sequence[CameraFrame] | None = None
+    """One entry a frame, read or rendered when it is asked for; None for sensors without images."""
 
     def __post_init__(self) -> None:
         n = self.problem.sensor.space_dim
@@ -213,6 +229,8 @@ class Log:
             raise DataError(f"Log.detections: {len(self.detections)} entries for {t.size} frames")
         if self.truth is not None and self.truth.t.size != t.size:
             raise DataError(f"Log.truth: {self.truth.t.size} poses for {t.size} frames")
+        if self.images is not None and len(self.images) != t.size:
+            raise DataError(f"Log.images: {len(self.images)} images for {t.size} frames")
 
 
 @dataclass(frozen=True)
