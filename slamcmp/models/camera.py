@@ -40,7 +40,7 @@ FORWARD_CAMERA = np.array(
 FORWARD_CAMERA.flags.writeable = False
 
 
-class _Pinhole:
+class Camera:
     """What the three cameras share: intrinsics, the mounting, and the way into the camera frame."""
 
     name: str
@@ -135,12 +135,12 @@ class _Pinhole:
 
 
 @sensors.register("mono_camera")
-class MonoCamera(_Pinhole):
+class MonoCamera(Camera):
     """One image: z = (u, v) in pixels; not invertible, since a pixel is a ray and not a point."""
 
     name = "mono_camera"
     dim = 2
-    components = ("u_px", "v_px")
+    components: tuple[str, ...] = ("u_px", "v_px")
     invertible = False
 
     def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -162,12 +162,12 @@ class MonoCamera(_Pinhole):
 
 
 @sensors.register("stereo_camera")
-class StereoCamera(_Pinhole):
+class StereoCamera(Camera):
     """A rectified pair: z = (u_left, u_right, v) in pixels; the camera frame is the left camera's."""
 
     name = "stereo_camera"
     dim = 3
-    components = ("u_left_px", "u_right_px", "v_px")
+    components: tuple[str, ...] = ("u_left_px", "u_right_px", "v_px")
     invertible = True
 
     def __init__(
@@ -208,12 +208,12 @@ class StereoCamera(_Pinhole):
 
 
 @sensors.register("rgbd_camera")
-class RgbdCamera(_Pinhole):
+class RgbdCamera(Camera):
     """An image with depth: z = (u, v, depth) in pixels and metres along the optical axis."""
 
     name = "rgbd_camera"
     dim = 3
-    components = ("u_px", "v_px", "depth_m")
+    components: tuple[str, ...] = ("u_px", "v_px", "depth_m")
     invertible = True
 
     def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:
