@@ -110,8 +110,10 @@ class ObservabilityConstrained(LatestEstimate):
         landmarks: FloatArray,
     ) -> Points:
         T_from = T_before.copy()
-        drift = landmarks - self._null_landmarks[seen] - T_before[:-1, -1] + self._null_position
-        T_from[:-1, -1] += drift.sum(axis=0) / (len(drift) + 1)
+        # A robot that has not moved is at the same pose still: there is no step whose point to choose.
+        if not np.array_equal(T_before, T_after):
+            drift = landmarks - self._null_landmarks[seen] - T_before[:-1, -1] + self._null_position
+            T_from[:-1, -1] += drift.sum(axis=0) / (len(drift) + 1)
         self._null_position = self._null_position + T_after[:-1, -1] - T_from[:-1, -1]
         self._T_predicted = T_after
         return T_from, T_after
