@@ -77,7 +77,7 @@ def test_failure_keeps_the_frames_before_it(
 def test_soft_time_limit_keeps_what_is_done(stream: MeasurementStream) -> None:
     result = run(stream, "DeadReckoning", time_limit_s=0.1, pause_s=0.01)
     assert result.status == "timed_out"
-    assert 3 <= result.online.t.size <= 11
+    assert 1 <= result.online.t.size <= 11
     assert result.message == f"the time limit passed after frame {result.online.t.size - 1} of 299"
 
 
