@@ -1,0 +1,239 @@
+"""Multi-state constraint Kalman filter: past poses stay in the state, landmarks never enter it.
+
+The opposite choice to EKF-SLAM: there poses are marginalised and landmarks kept, here a landmark's track is
+marginalised the moment it ends. All its observations act at once as constraints between the poses that made
+them, after the landmark itself is projected out (Mourikis and Roumeliotis 2007, "A multi-state constraint
+Kalman filter for vision-aided inertial navigation", sec. III-D). The cost of a frame does not grow with the
+map, but a place seen again is a new landmark: nothing closes a loop longer than the window.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+T, P      the window's poses (K, n+1, n+1), oldest first, and their joint
+          covariance (K p, K p) in body tangents
+z, R      observations of a track and their covariances
+H_x, H_f  a track's whitened Jacobians by the poses (m d, K p), the landmark (m d, n)
+r         whitened residual, (m d,)
+N         basis of the left null space of H_f, N^T H_f = 0
+G         (H_f^T H_f)^-1 H_f^T H_x: how the landmark follows the poses
+S         innovation covariance
+========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from slamcmp.backends.whitening import whiteners
+from slamcmp.errors import DivergedError
+from slamcmp.geometry import adjoint_of_inverse, exp
+from slamcmp.protocols import SensorModel
+from slamcmp.registry import back_ends
+from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
+
+FloatArray = NDArray[np.float64]
+
+TRIANGULATION_STEPS = 10
+"""Gauss-Newton steps for one landmark; with a good first sight three suffice."""
+
+
+@dataclass
+class Track:
+    """A landmark's observations that no update has used yet."""
+
+    frames: list[int]
+    z: list[FloatArray]
+    R: list[FloatArray]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """What a finished track says about the poses, and where that leaves its landmark."""
+
+    landmark: int
+    position: FloatArray
+    """(n,)."""
+    own: FloatArray
+    """Covariance of the landmark given the poses, (n, n)."""
+    G: FloatArray
+    """(n, K p)."""
+    H: FloatArray
+    """N^T H_x, (m d - n, K p)."""
+    r: FloatArray
+    """N^T r."""
+
+
+@back_ends.register("msckf")
+class Msckf:
+    """MSCKF-style filter: a window of poses, landmarks marginalised as their tracks end.
+
+    A track ends when a frame does not see its landmark, or when its first pose leaves the window; a landmark
+    that is seen on starts a new track. The online estimate does not know the observations of tracks that
+    still run.
+
+    Args:
+        problem: prior and sensor (planar or spatial; the sensor must be invertible).
+        window: poses kept, the current one included; a track cannot be longer.
+
+    Raises:
+        DivergedError: an innovation covariance is not positive definite or not finite.
+    """
+
+    def __init__(self, problem: Problem, *, window: Annotated[int, Ge(2)] = 15) -> None:
+        self._sensor = problem.sensor
+        self._window = window
+        self._p, self._n = problem.P.shape[0], problem.sensor.space_dim
+        self._T = problem.T_world_body[None].copy()
+        self._P = problem.P.copy()
+        self._first = 0
+        """Number of the window's oldest frame."""
+        self._tracks: dict[int, Track] = {}
+        self._map: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._nis, self._nis_dof, self._used = 0.0, 0, 0
+        self._t: list[float] = []
+        self._left: list[tuple[FloatArray, FloatArray]] = []
+
+    def update(self, frame: Frame) -> None:
+        """Append the pose, note the observations, use up finished tracks, drop the oldest pose."""
+        if frame.k > 0:
+            self._append_pose(frame)
+        self._t.append(frame.t)
+        for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
+            track = self._tracks.setdefault(landmark, Track([], [], []))
+            track.frames.append(frame.k)
+            track.z.append(z)
+            track.R.append(R)
+        full = len(self._T) == self._window
+        finished = [
+            landmark
+            for landmark, track in self._tracks.items()
+            if track.frames[-1] < frame.k or (full and track.frames[0] == self._first)
+        ]
+        self._correct([self._constraint(landmark, self._tracks.pop(landmark)) for landmark in finished])
+        if full:
+            # One place early: the window holds w poses again when the next frame's has been appended.
+            self._left.append((self._T[0], self._P[: self._p, : self._p]))
+            self._T, self._P = self._T[1:], self._P[self._p :, self._p :]
+            self._first += 1
+
+    def estimate(self) -> Estimate:
+        """The current pose and its covariance."""
+        return Estimate(self._T[-1], self._P[-self._p :, -self._p :])
+
+    def landmarks(self) -> Landmarks:
+        """The landmarks of finished tracks, each as its latest track left it."""
+        ids = np.fromiter(self._map, dtype=np.int64, count=len(self._map))
+        positions = np.array([position for position, _ in self._map.values()]).reshape(-1, self._n)
+        covariances = np.array([P for _, P in self._map.values()]).reshape(-1, self._n, self._n)
+        return Landmarks(ids, positions, covariances)
+
+    def trajectory(self) -> Trajectory:
+        """Each pose as it left the window, or as it stands in it."""
+        p = self._p
+        own = self._P.reshape(len(self._T), p, len(self._T), p)
+        index = np.arange(len(self._T))
+        poses = [T for T, _ in self._left] + list(self._T)
+        covariances = [P for _, P in self._left] + list(own[index, :, index, :])
+        return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map."""
+        return {
+            "nis": self._nis if self._nis_dof else float("nan"),
+            "nis_dof": self._nis_dof,
+            "tracks_used": self._used,
+            "landmarks": len(self._map),
+        }
+
+    def _append_pose(self, frame: Frame) -> None:
+        p = self._p
+        self._T = np.concatenate([self._T, (self._T[-1] @ frame.T_prev_body)[None]])
+        rows = adjoint_of_inverse(frame.T_prev_body) @ self._P[-p:]
+        corner = rows[:, -p:] @ adjoint_of_inverse(frame.T_prev_body).T + frame.Q
+        self._P = np.block([[self._P, rows.T], [rows, 0.5 * (corner + corner.T)]])
+
+    def _constraint(self, landmark: int, track: Track) -> Constraint | None:
+        """Triangulate the landmark, then take it out; None where nothing about the poses is left."""
+        z, W = np.array(track.z), whiteners(np.array(track.R))
+        m, d = z.shape
+        if m * d <= self._n:
+            return None
+        numbers = np.array(track.frames) - self._first
+        poses = self._T[numbers]
+        position = triangulate(self._sensor, poses, z, W)
+        if position is None:
+            return None
+        H_pose, H_land = self._sensor.jacobians(poses, np.tile(position, (m, 1)))
+        residual = self._sensor.residual(z, self._sensor.predict(poses, np.tile(position, (m, 1))))
+        blocks = np.zeros((m, d, len(self._T), self._p))
+        blocks[np.arange(m), :, numbers, :] = W @ H_pose
+        H_x = blocks.reshape(m * d, -1)
+        H_f = (W @ H_land).reshape(m * d, self._n)
+        r = (W @ residual[..., None]).ravel()
+        basis, triangle = np.linalg.qr(H_f, mode="complete")
+        inverse = np.linalg.inv(triangle[: self._n])
+        N = basis[:, self._n :]
+        return Constraint(
+            landmark,
+            position,
+            inverse @ inverse.T,
+            inverse @ basis[:, : self._n].T @ H_x,
+            N.T @ H_x,
+            N.T @ r,
+        )
+
+    def _correct(self, constraints: list[Constraint | None]) -> None:
+        used = [constraint for constraint in constraints if constraint is not None]
+        self._nis, self._nis_dof, self._used = 0.0, 0, len(used)
+        if not used:
+            return
+        H = np.concatenate([constraint.H for constraint in used])
+        r = np.concatenate([constraint.r for constraint in used])
+        PHt = self._P @ H.T
+        L, failed = dpotrf(H @ PHt + np.eye(r.size), lower=1)
+        W_t = dtrtrs(L, PHt.T, lower=1)[0]
+        e = dtrtrs(L, r, lower=1)[0]
+        self._nis, self._nis_dof = float(e @ e), r.size
+        if failed or not np.isfinite(self._nis):
+            raise DivergedError(
+                "the innovation covariance of the finished tracks is not positive definite, or their "
+                "residual not finite"
+            )
+        step = W_t.T @ e
+        self._P = self._P - W_t.T @ W_t
+        self._T = self._T @ exp(step.reshape(-1, self._p))
+        for constraint in used:
+            G = constraint.G
+            self._map[constraint.landmark] = (
+                constraint.position - G @ step,
+                constraint.own + G @ self._P @ G.T,
+            )
+
+
+def triangulate(sensor: SensorModel, poses: FloatArray, z: FloatArray, W: FloatArray) -> FloatArray | None:
+    """The landmark (n,) that fits observations z (m, d) from known poses (m, …) best, or None.
+
+    Gauss-Newton from where the first observation puts it; W (m, d, d) whitens. None where the observations
+    do not determine it.
+    """
+    m = len(z)
+    position = sensor.invert(poses[0], z[0])
+    for _ in range(TRIANGULATION_STEPS):
+        points = np.tile(position, (m, 1))
+        H = (W @ sensor.jacobians(poses, points)[1]).reshape(z.size, -1)
+        r = (W @ sensor.residual(z, sensor.predict(poses, points))[..., None]).ravel()
+        L, failed = dpotrf(H.T @ H, lower=1)
+        if failed:
+            return None
+        step = dtrtrs(L, dtrtrs(L, H.T @ r, lower=1)[0], lower=1, trans=1)[0]
+        position = position + step
+        if np.abs(step).max() < 1e-10:
+            break
+    return position
