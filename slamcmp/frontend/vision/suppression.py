@@ -8,6 +8,8 @@ and spreads at least as well.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -19,8 +21,8 @@ _CLEARANCE = 0.7
 """Of a cell's side: winners of neighbouring cells that are closer than this do not both stay."""
 _TRIALS = 8
 _NARROWEST_PX = 1.0
-_SURPLUS = 1.04
-"""A width that gives up to 4 % too many corners is good enough; the weakest are cut."""
+_SURPLUS = 0.05
+"""A width that gives up to this share too many corners is good enough; the weakest are cut."""
 
 
 def brown_radii(xy: FloatArray, response: FloatArray, *, robustness: float = 0.9) -> FloatArray:
@@ -74,26 +76,32 @@ def suppress_cells(xy: FloatArray, response: FloatArray, count: int) -> IntArray
     corner = xy.min(axis=0)
     x, y = (np.ascontiguousarray(axis, dtype=np.float32) for axis in (xy[order] - corner).T)
     extent = (float(x.max()) + 1.0, float(y.max()) + 1.0)
-    width = max(np.sqrt(extent[0] * extent[1] / count), _NARROWEST_PX)
-    too_narrow, too_wide = 0.0, np.inf
+    # Of a square per corner, this much of its side is about right for corners from a photograph.
+    width = max(0.7 * math.sqrt(extent[0] * extent[1] / count), _NARROWEST_PX)
+    aim = math.log(count * (1.0 + 0.5 * _SURPLUS))
+    too_narrow, too_wide = _NARROWEST_PX, 2.0 * max(extent)
+    slope, last = -1.5, (0.0, 0.0)
     best: IntArray | None = None
-    for _ in range(_TRIALS):
+    for trial in range(_TRIALS):
         kept = _cell_winners(x, y, extent, width)
         if kept.size >= count:
             too_narrow = width
             if best is None or kept.size < best.size:
                 best = kept
-            if kept.size <= _SURPLUS * count:
+            if kept.size <= (1.0 + _SURPLUS) * count:
                 break
         else:
             too_wide = width
-            if width <= _NARROWEST_PX:
-                break
-        # The number falls with the width, about as its inverse square; the aim is half the surplus.
-        width *= np.sqrt(max(kept.size, 1) / (count * (1.0 + 0.5 * (_SURPLUS - 1.0))))
+        if too_wide <= _NARROWEST_PX:
+            break
+        # The number falls with a power of the width; a secant through the last two trials finds it.
+        here = (math.log(width), math.log(max(kept.size, 1)))
+        if trial and here[0] != last[0]:
+            slope = min(-0.5, (here[1] - last[1]) / (here[0] - last[0]))
+        last = here
+        width = math.exp(here[0] + (aim - here[1]) / slope)
         if not too_narrow < width < too_wide:
-            width = 0.5 * (too_narrow + min(too_wide, 2.0 * too_narrow + 1.0))
-        width = max(width, _NARROWEST_PX)
+            width = max(0.5 * (too_narrow + too_wide), _NARROWEST_PX)
     if best is None:
         # Too many corners share their place: fill up with the strongest that are left.
         rest = np.setdiff1d(np.arange(total), kept)

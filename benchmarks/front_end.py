@@ -1,0 +1,146 @@
+"""How fast is the front end on images? Ratios within one run, frames interleaved, medians.
+
+A rendered drive at 640×480, 500 features, one thread. A frame is: Harris, suppression, ORB, matching with
+the frame before, RANSAC and the test for degeneracies. Compared with
+* the OpenCV calls that it makes, on the same inputs and nothing around them,
+* the OpenCV calls that do the whole job: the same and a brute-force matcher in both directions, which the
+  front end replaces by one table of distances,
+* for suppression alone, OpenCV's ORB at 3000 features.
+
+Run ``python benchmarks/front_end.py`` (about 20 s; ``--json`` for numbers only).
+"""
+
+from __future__ import annotations
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from statistics import median
+
+import cv2
+import numpy as np
+
+from slamcmp.frontend.vision import fundamental
+from slamcmp.frontend.vision.harris import Corners, harris_corners
+from slamcmp.frontend.vision.image_pair import Features, PairMatches, extract_features, match_features
+from slamcmp.frontend.vision.orb import BORDER_PX, RADIUS_PX
+from slamcmp.frontend.vision.suppression import suppress_brown, suppress_cells
+from slamcmp.worlds.rendered import rendered
+
+TARGETS = {"ratio_same_job": 1.4, "suppression_ratio": 0.1}
+RATE_TARGET = 25.0
+SEED = 1
+
+
+class OpenCvCalls:
+    """The calls that the front end makes for one frame, each with inputs made beforehand."""
+
+    def __init__(self, image: np.ndarray, features: Features, before: Features, pair: PairMatches) -> None:
+        self._image = image
+        self._keypoints = [
+            (x, y, a)
+            for (x, y), a in zip(np.rint(features.xy).tolist(), features.angle_deg.tolist(), strict=True)
+        ]
+        self._orb = cv2.ORB.create(nlevels=1, edgeThreshold=BORDER_PX, patchSize=2 * RADIUS_PX + 1)
+        self._described = before.descriptors, features.descriptors
+        self._first, self._second = pair.first, pair.second
+        self._matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+
+    def prepare(self) -> None:
+        """ORB.compute changes its list of corners, so each run needs a new one."""
+        self._ready = [cv2.KeyPoint(x, y, 31.0, a) for x, y, a in self._keypoints]
+
+    def run(self) -> None:
+        response = cv2.cornerHarris(self._image, 3, 3, 0.04)
+        cv2.dilate(response, np.ones((3, 3), dtype=np.uint8))
+        self._orb.compute(self._image, self._ready)
+        cv2.findFundamentalMat(self._first, self._second, fundamental.usac_parameters(SEED, 1.5, 0.999, 3000))
+        cv2.findHomography(self._first, self._second, fundamental.usac_parameters(SEED, 1.8, 0.999, 1000))
+
+    def match(self) -> None:
+        first, second = self._described
+        self._matcher.knnMatch(first, second, k=2)
+        self._matcher.match(second, first)
+
+
+def timed(call: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    call()
+    return 1e3 * (time.perf_counter() - start)
+
+
+def measure(rounds: int) -> dict[str, float]:
+    log = rendered(SEED, camera="mono", steps=60)
+    images = [log.images[k].image for k in range(0, 60, 3)]
+    times: dict[str, list[float]] = {"front_end": [], "calls": [], "matcher": []}
+    stages: dict[str, list[float]] = {}
+    kept: list[int] = []
+    for _ in range(rounds):
+        before = extract_features(images[0])
+        for image in images[1:]:
+            start = time.perf_counter()
+            features = extract_features(image)
+            pair = match_features(before, features, seed=SEED, K=log.problem.sensor.K)
+            times["front_end"].append(1e3 * (time.perf_counter() - start))
+            calls = OpenCvCalls(image, features, before, pair)
+            calls.prepare()
+            times["calls"].append(timed(calls.run))
+            times["matcher"].append(timed(calls.match))
+            for name, value in {**features.times_ms, **pair.times_ms}.items():
+                stages.setdefault(name, []).append(value)
+            kept.append(pair.counts["kept"])
+            before = features
+    result = {f"{name}_ms": median(values) for name, values in times.items()}
+    result |= {f"stage_{name}_ms": median(values) for name, values in stages.items()}
+    # Ratios frame by frame: a disturbance from outside hits both sides of the same frame.
+    pairs = list(zip(times["front_end"], times["calls"], times["matcher"], strict=True))
+    result["ratio_calls"] = median(ours / calls for ours, calls, _ in pairs)
+    result["ratio_same_job"] = median(ours / (calls + matcher) for ours, calls, matcher in pairs)
+    result["frames_per_s"] = 1e3 / result["front_end_ms"]
+    result["kept_matches"] = median(kept)
+    return result | measure_suppression(images, rounds * 10)
+
+
+def measure_suppression(images: list[np.ndarray], rounds: int) -> dict[str, float]:
+    orb = cv2.ORB.create(3000)
+    corners: list[Corners] = [harris_corners(image, count_max=3000, quality=1e-6) for image in images]
+    full = [(image, found) for image, found in zip(images, corners, strict=True) if len(found.xy) == 3000]
+    times: dict[str, list[float]] = {"orb": [], "cells": [], "brown": []}
+    for i in range(rounds):
+        image, found = full[i % len(full)]
+        times["orb"].append(timed(lambda image=image: orb.detectAndCompute(image, None)))
+        times["cells"].append(timed(lambda f=found: suppress_cells(f.xy, f.response, 500)))
+        times["brown"].append(timed(lambda f=found: suppress_brown(f.xy, f.response, 500)))
+    result = {f"suppression_{name}_ms": median(values) for name, values in times.items()}
+    ratios = [cells / orb_ms for cells, orb_ms in zip(times["cells"], times["orb"], strict=True)]
+    return result | {"suppression_ratio": median(ratios)}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("--json", action="store_true", help="print numbers only")
+    parser.add_argument("--rounds", type=int, default=8)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    result = measure(options.rounds)
+    missed = [name for name, limit in TARGETS.items() if result[name] > limit]
+    missed += ["frames_per_s"] if result["frames_per_s"] < RATE_TARGET else []
+    if options.json:
+        print(json.dumps(result, indent=1))
+    else:
+        for name, value in result.items():
+            limit = f"  (at most {TARGETS[name]})" if name in TARGETS else ""
+            limit = f"  (at least {RATE_TARGET:g})" if name == "frames_per_s" else limit
+            print(f"{name:22} {value:9.3f}{limit}{'  MISSED' if name in missed else ''}")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
