@@ -117,9 +117,8 @@ def _corner_figure(
         if suppressed:
             said = f"{len(xy)} of {len(feature.corners.xy)} corners,\nspread over what has texture"
         else:
-            said = (
-                f"the {len(xy)} strongest of {feature.corners.found} corners, crowded where texture is strong"
-            )
+            found = feature.corners.found
+            said = f"the {len(xy)} strongest of {found} corners,\ncrowded where texture is strong"
         axes.set_title(f"{name}: {said}")
     return figure
 
