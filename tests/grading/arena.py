@@ -1,4 +1,4 @@
-"""Where attacks take place: things worth stealing or breaking, and a look afterwards at what became of them."""
+"""Where attacks take place: things worth stealing or breaking, and what became of them afterwards."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ class Arena:
         self._base = Path(tempfile.mkdtemp(prefix="arena-"))
         self._base.chmod(0o755)
         self._signals = 0
-        self._handlers = {which: signal.signal(which, self._signalled) for which in (signal.SIGUSR1, signal.SIGIO)}
+        self._handlers = {
+            which: signal.signal(which, self._signalled) for which in (signal.SIGUSR1, signal.SIGIO)
+        }
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
         self._victim: subprocess.Popen[bytes] | None = None
@@ -122,7 +124,8 @@ class Arena:
         with contextlib.suppress(BlockingIOError):
             self._listener.accept()
             won.append("a connection arrived")
-        if list(Path("/dev/shm").glob(f"{self.token_name}*")):
+        for path in Path("/dev/shm").glob(f"{self.token_name}*"):
+            path.unlink()
             won.append("shared memory is left")
         if not np.allclose(1.0, 1.0) or np.allclose(1.0, 2.0) or abs(-1) != 1:
             won.append("the grader's functions are patched")

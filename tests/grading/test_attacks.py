@@ -87,7 +87,9 @@ def test_attacks_win_without_the_sandbox(arena: Arena, honest: SandboxSession) -
             session = None
     if session is not None:
         session.close()
-    needs_root = {attack.name for attack in ATTACKS if attack.kind == "raising rights"} if os.geteuid() else set()
+    needs_root = (
+        {attack.name for attack in ATTACKS if attack.kind == "raising rights"} if os.geteuid() else set()
+    )
     assert set(lost) <= needs_root
     assert answers_honestly(honest)
 

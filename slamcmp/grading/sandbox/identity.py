@@ -12,6 +12,7 @@ from slamcmp.grading.sandbox import kernel
 
 # The range that systemd keeps for users made up on the spot; below 65536, so it exists in containers too.
 _FIRST_UID, _LAST_UID = 61_184, 65_519
+_CLONE_THREAD = 0x00010000
 _next_uid = _FIRST_UID + os.getpid() % 4_000
 _lock = threading.Lock()
 
@@ -49,6 +50,15 @@ def become(uid: int) -> None:
     os.setgroups([])
     os.setresgid(uid, uid, uid)
     os.setresuid(uid, uid, uid)
+
+
+def has_threads() -> bool:
+    """Whether this process has more than one thread, those of libraries included."""
+    try:
+        return len(os.listdir("/proc/self/task")) > 1
+    except FileNotFoundError:
+        # No /proc in bubblewrap. Unsharing threads does nothing to a process without any, else it fails.
+        return bool(kernel.libc.unshare(_CLONE_THREAD))
 
 
 def forbid_new_privileges() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from slamcmp.grading.sandbox import identity
 from slamcmp.grading.sandbox.identity import become, die_with_parent, forbid_debugging, forbid_new_privileges
 from slamcmp.grading.sandbox.landlock import apply_landlock
 from slamcmp.grading.sandbox.limits import apply_limits
@@ -40,7 +40,7 @@ def close_process(policy: Policy, readable: Readable, around: Surroundings) -> d
     Raises:
         RuntimeError: a package has started threads, which would stay outside some of the layers.
     """
-    if len(os.listdir("/proc/self/task")) > 1:
+    if identity.has_threads():
         raise RuntimeError(f"an allowed package ({', '.join(policy.preload)}) starts threads on import")
     readable = replace(readable, trees=(*readable.trees, around.submission))
     report: dict[str, str] = {}
@@ -70,7 +70,11 @@ def close_process(policy: Policy, readable: Readable, around: Surroundings) -> d
     die_with_parent()
     report["limits"] = _unless_off("limits", off, lambda: apply_limits(policy, own_uid=own_uid))
     report["Landlock"] = _unless_off("Landlock", off, lambda: apply_landlock(readable))
-    report["seccomp"] = _unless_off("seccomp", off, apply_seccomp)
+    report["seccomp"] = _unless_off(
+        "seccomp",
+        off,
+        lambda: apply_seccomp(open_to_write=ACTIVE in (report["Landlock"], report["private root"])),
+    )
     return report
 
 

@@ -22,7 +22,14 @@ from slamcmp.grading.sandbox.proofs import Targets
 from slamcmp.grading.sandbox.readable import Readable
 
 ROOT = str(Path(slamcmp.__file__).parent.parent)
-_BOOT = "import sys; sys.path.insert(0, {root!r}); from {module} import main; main({request}, {reply})"
+# The sites are named because a path file that leads to one may not be readable, as in bubblewrap.
+_BOOT = """
+import sys
+sys.path.insert(0, {root!r})
+sys.path += [site for site in {sites!r} if site not in sys.path]
+from {module} import main
+main({request}, {reply})
+"""
 _WORKER = "slamcmp.grading.sandbox.worker"
 _CORE = ("slamcmp", "slamcmp.errors", "slamcmp.types", "slamcmp.protocols", "slamcmp.registry")
 _ENVIRONMENT = {
@@ -47,7 +54,9 @@ class Worker:
         printed_read, printed_write = os.pipe()
         widen(request_write)
         widen(reply_write)
-        boot = _BOOT.format(root=ROOT, module=_WORKER, request=request_read, reply=reply_write)
+        boot = _BOOT.format(
+            root=ROOT, sites=readable.listed, module=_WORKER, request=request_read, reply=reply_write
+        )
         # -P and -s are what -I does besides ignoring the environment, which is ours here.
         words = [sys.executable, "-P", "-s", "-u", "-B", "-X", "utf8", "-c", boot]
         words += [str(targets.parent), targets.private_file, targets.public_file, targets.writable_folder]

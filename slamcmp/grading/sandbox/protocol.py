@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 MAGIC = b"SLC1"
 PREFIX = struct.Struct("<4sIQ")
 HEADER_MAX = 1 << 20
-_DEPTH_MAX, _NDIM_MAX = 32, 8
+_DEPTH_MAX, _NDIM_MAX, _SIZE_MAX = 32, 8, 1 << 31
 _ITEM_BYTES = {"<f8": 8, "<i8": 8, "|b1": 1}
 
 
@@ -123,7 +123,7 @@ def _arrays(described: Any, body: bytearray) -> list[NDArray[Any]]:
     for kind, shape in described:
         if kind not in _ITEM_BYTES or len(shape) > _NDIM_MAX:
             raise FrameError("array of a type or rank that is not allowed")
-        if not all(type(size) is int and 0 <= size <= len(body) + 1 for size in shape):
+        if not all(type(size) is int and 0 <= size <= _SIZE_MAX for size in shape):
             raise FrameError("array of an impossible shape")
         count = math.prod(shape)
         if offset + count * _ITEM_BYTES[kind] > len(body):

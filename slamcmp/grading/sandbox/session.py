@@ -252,6 +252,8 @@ class SandboxSession:
             report = self._request(message, "starting", self.policy.start_s)
         except SandboxError as error:
             raise SandboxUnavailable(f"the sandbox did not start: {error}\n{self.output}".strip()) from error
+        # In bubblewrap the process that was started is not the one that works.
+        self._worker.pid = int(report["pid"])
         layers = dict(report["layers"])
         if uid is None:
             layers["bubblewrap"] = (

@@ -76,7 +76,8 @@ class _Worker:
         # slamcmp itself lies there in a development install, and cannot be read any more.
         sys.path.remove(message["root"])
         sys.argv[:] = ["submission"]
-        return {"layers": layers, "control": self._control, "closed": attempt(self._targets)}
+        closed = attempt(self._targets)
+        return {"pid": os.getpid(), "layers": layers, "control": self._control, "closed": closed}
 
     def _load(self, message: dict[str, Any]) -> Any:
         self._module = self._student.load(

@@ -18,4 +18,4 @@ def late(pipe):
 
 def attack(target):
     threading.Thread(target=late, args=(target["pipes"][1],)).start()
-    return None
+    return

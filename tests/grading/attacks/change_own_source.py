@@ -4,6 +4,7 @@ Defence: private root, Landlock, file size limit, seccomp.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     with open(__file__, "w") as file:
         file.write("x")

@@ -3,6 +3,7 @@ Wins if an exception whose text never ends or raises harms the worker's report.
 Defence: every failure to describe is caught, deadline.
 """
 
+
 class Evil(Exception):
     def __str__(self):
         raise Evil

@@ -8,5 +8,5 @@ import os
 
 
 def attack(target):
-    atexit.register(lambda: open(os.path.join(target["writable"], "hook"), "w").write("x"))
-    return None
+    atexit.register(lambda: open(os.path.join(target["writable"], "hook"), "w").write("x"))  # noqa: SIM115
+    return

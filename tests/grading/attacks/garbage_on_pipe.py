@@ -8,4 +8,4 @@ import os
 
 def attack(target):
     os.write(target["pipes"][1], b"{'score': 100}" * 100)
-    return None
+    return

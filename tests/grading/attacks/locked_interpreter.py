@@ -4,5 +4,6 @@ Defence: deadline per request, kill -9 of the group.
 Deadline: 0.5 s.
 """
 
+
 def attack(target):
     return 7 ** (7**9) % 10

@@ -4,6 +4,7 @@ Defence: address space limit.
 Deadline: 1 s.
 """
 
+
 def attack(target):
     held = []
     while len(held) < 64:

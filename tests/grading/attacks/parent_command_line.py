@@ -4,5 +4,6 @@ Defence: private root, Landlock.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     return "WON" if open(f"/proc/{target['parent']}/cmdline").read() else None

@@ -4,5 +4,6 @@ Defence: own uid, private root, Landlock, no debugging.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     return open(f"/proc/{target['victim']}/environ").read()

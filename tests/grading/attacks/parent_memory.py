@@ -4,6 +4,7 @@ Defence: own uid, private root, Landlock, no debugging.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     with open(f"/proc/{target['parent']}/mem", "rb") as memory:
         memory.seek(target["address"])

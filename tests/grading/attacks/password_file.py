@@ -4,5 +4,6 @@ Defence: own uid, private root, Landlock.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     return "WON" if "root:" in open("/etc/shadow").read() + open("/etc/passwd").read() else None

@@ -8,4 +8,4 @@ import time
 
 def attack(target):
     time.perf_counter = time.monotonic = time.time = time.process_time = lambda: 0.0
-    return None
+    return

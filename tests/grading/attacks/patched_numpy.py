@@ -12,4 +12,4 @@ def attack(target):
     np.allclose = lambda *a, **k: True
     np.linalg.norm = lambda *a, **k: 0.0
     builtins.abs = lambda value: 0
-    return None
+    return

@@ -16,4 +16,4 @@ def attack(target):
         return genuine(message)
 
     protocol.encode = forged
-    return None
+    return

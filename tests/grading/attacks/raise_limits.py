@@ -9,7 +9,7 @@ import resource
 def attack(target):
     won = []
     for which in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE, resource.RLIMIT_NOFILE, resource.RLIMIT_CPU):
-        soft, hard = resource.getrlimit(which)
+        _, hard = resource.getrlimit(which)
         infinite = resource.RLIM_INFINITY
         try:
             resource.setrlimit(which, (infinite, infinite))

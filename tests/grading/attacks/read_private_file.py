@@ -4,6 +4,7 @@ Defence: own uid, private root, Landlock.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     with open(target["private_file"]) as file:
         return file.read()

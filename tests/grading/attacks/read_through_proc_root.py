@@ -4,6 +4,7 @@ Defence: private root, Landlock, no debugging.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     with open(f"/proc/{target['parent']}/root{target['public_file']}") as file:
         return file.read()

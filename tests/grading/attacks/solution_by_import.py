@@ -4,6 +4,7 @@ Defence: only named modules of slamcmp are readable.
 Control: wins without the sandbox.
 """
 
+
 def attack(target):
     from slamcmp.backends.ekf_slam import EkfSlam
 
