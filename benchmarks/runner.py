@@ -44,12 +44,12 @@ BACK_ENDS: dict[str, dict[str, Any]] = {
 }
 EXPERIMENT = """\
 name: two_workers
-source: {name: circle, steps: 600, landmarks: 100}
+source: {name: circle, steps: 400, landmarks: 40}
 back_ends:
   - {name: ekf_slam}
-  - {name: isam2, relinearize_skip: 1}
+  - {name: isam2, relinearize_skip: 10}
   - {name: batch}
-seeds: 6
+seeds: 8
 """
 
 
