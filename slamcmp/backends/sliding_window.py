@@ -37,6 +37,7 @@ from slamcmp.backends.window_cost import (
     OdometryTerms,
     observation_terms,
     odometry_terms,
+    squared_residuals,
     tangent_turn,
 )
 from slamcmp.geometry import exp
@@ -45,6 +46,10 @@ from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+HALVINGS = 8
+"""Of a step that raises the cost; what is left then moves nothing."""
 
 
 @back_ends.register("sliding_window")
@@ -58,7 +63,8 @@ class SlidingWindow:
     Args:
         problem: prior and sensor (planar or spatial; the sensor must be invertible, d = n).
         window: poses kept, the current one included; null keeps all (full smoothing).
-        iterations: most Gauss-Newton iterations a frame.
+        iterations: most Gauss-Newton iterations a frame; if more than one, a step that would raise the cost
+            is halved until it does not.
         tolerance: iterations end when no component of a step [m, rad] is larger.
         linearisation: where Jacobians are taken. "latest": at the current estimate. "fej": variables that
             share a cost with marginalised ones keep the point of their first one (first-estimates
@@ -223,15 +229,17 @@ class SlidingWindow:
                 self._n,
             )
             before = self._T
-            self._T = before @ exp(step.pose_step)
-            self._landmarks = self._landmarks + step.landmark_step
-            self._recentre(step)
+            share = self._share_of(step)
+            pose_step, landmark_step = share * step.pose_step, share * step.landmark_step
+            self._T = before @ exp(pose_step)
+            self._landmarks = self._landmarks + landmark_step
+            self._recentre(pose_step, landmark_step)
             if self._first_estimates:
                 self._turn_axes(tangent_turn(self._T, before))
             else:
                 self._turn = np.broadcast_to(np.eye(self._p), (len(before), self._p, self._p))
             self._step, self._joint, self._used = step, None, iteration
-            sizes = np.abs(step.pose_step).max(), np.abs(step.landmark_step).max(initial=0.0)
+            sizes = np.abs(pose_step).max(), np.abs(landmark_step).max(initial=0.0)
             self._last_size = float(max(sizes))
             if self._last_size < self._tolerance:
                 break
@@ -269,12 +277,39 @@ class SlidingWindow:
             self._W[rows],
         )
 
-    def _recentre(self, step: GaussNewtonStep) -> None:
+    def _share_of(self, step: GaussNewtonStep) -> float:
+        """1, or less where the whole step would raise the cost; a single iteration is never questioned."""
+        if self._iterations == 1 or self._frozen:
+            return 1.0
+        squares = float((self._odometry.b**2).sum() + (self._observations.b**2).sum())
+        bound = (self._linear_prior.c + squares) * (1.0 + 1e-9) + 1e-9
+        share = 1.0
+        for _ in range(HALVINGS):
+            T = self._T @ exp(share * step.pose_step)
+            if self._cost(T, self._landmarks + share * step.landmark_step) <= bound:
+                break
+            share *= 0.5
+        return share
+
+    def _cost(self, T: FloatArray, landmarks: FloatArray) -> float:
+        known = self._prior.landmarks.shape[0]
+        return self._prior.linearised(T[0], landmarks[:known]).c + squared_residuals(
+            self._sensor,
+            T,
+            self._increments,
+            self._odometry_W,
+            T[self._pose_of],
+            landmarks[self._landmark_of],
+            self._z,
+            self._W,
+        )
+
+    def _recentre(self, pose_step: FloatArray, landmark_step: FloatArray) -> None:
         """Linear terms about the new estimate, with the Jacobians of the solve."""
-        self._odometry.recentre(step.pose_step)
-        self._observations.recentre(step.pose_step[self._pose_of], step.landmark_step[self._landmark_of])
+        self._odometry.recentre(pose_step)
+        self._observations.recentre(pose_step[self._pose_of], landmark_step[self._landmark_of])
         known = (self._linear_prior.eta.size - self._p) // self._n
-        moved = np.concatenate([step.pose_step[0], step.landmark_step[:known].ravel()])
+        moved = np.concatenate([pose_step[0], landmark_step[:known].ravel()])
         self._linear_prior = self._linear_prior.recentred(moved)
 
     def _turn_axes(self, turn: FloatArray) -> None:

@@ -108,6 +108,24 @@ def observation_terms(
     return ObservationTerms(W @ H_pose, W @ H_land, np.einsum("mij,mj->mi", W, residual))
 
 
+def squared_residuals(
+    sensor: SensorModel,
+    T: FloatArray,
+    increments: FloatArray,
+    odometry_W: FloatArray,
+    T_seen_from: FloatArray,
+    landmarks: FloatArray,
+    z: FloatArray,
+    W: FloatArray,
+) -> float:
+    """Sum of squares of the whitened residuals of all increments and observations, without Jacobians."""
+    steps = log(inverse(increments) @ inverse(T[:-1]) @ T[1:])
+    sights = sensor.residual(z, sensor.predict(T_seen_from, landmarks))
+    total = (np.einsum("kij,kj->ki", odometry_W, steps) ** 2).sum()
+    total += (np.einsum("mij,mj->mi", W, sights) ** 2).sum()
+    return float(total)
+
+
 def tangent_turn(at: FloatArray, T: FloatArray) -> FloatArray:
     """(…, p, p): a body-tangent error at ``T`` as the error at ``at`` with the same world components."""
     n = T.shape[-1] - 1
