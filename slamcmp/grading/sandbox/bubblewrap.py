@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slamcmp.grading.sandbox.readable import Readable
+from slamcmp.grading.sandbox.policy import Readable
 
 # No own pid namespace: the worker's pid as the grader sees it is the one whose processor time it reads.
 _ISOLATION = ("--unshare-user", "--unshare-ipc", "--unshare-net", "--unshare-uts", "--die-with-parent")

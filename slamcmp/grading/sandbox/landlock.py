@@ -7,7 +7,7 @@ import stat
 import struct
 
 from slamcmp.grading.sandbox import kernel
-from slamcmp.grading.sandbox.readable import Readable
+from slamcmp.grading.sandbox.policy import Readable
 from slamcmp.grading.sandbox.syscalls import number
 
 EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3

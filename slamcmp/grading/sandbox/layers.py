@@ -10,9 +10,8 @@ from slamcmp.grading.sandbox import identity
 from slamcmp.grading.sandbox.identity import become, die_with_parent, forbid_debugging, forbid_new_privileges
 from slamcmp.grading.sandbox.landlock import apply_landlock
 from slamcmp.grading.sandbox.limits import apply_limits
-from slamcmp.grading.sandbox.policy import Policy
+from slamcmp.grading.sandbox.policy import Policy, Readable
 from slamcmp.grading.sandbox.private_root import enter_private_root
-from slamcmp.grading.sandbox.readable import Readable
 from slamcmp.grading.sandbox.seccomp import apply_seccomp
 
 ACTIVE = "active"

@@ -1,4 +1,7 @@
-"""What one sandboxed process may use."""
+"""What one sandboxed process may use.
+
+The worker imports this while it starts: data only.
+"""
 
 from __future__ import annotations
 
@@ -31,3 +34,16 @@ class Policy:
     """Largest body of one answer."""
     output_bytes: int = 64 << 10
     """Kept of everything the submission prints; the rest is counted and thrown away."""
+
+
+@dataclass(frozen=True)
+class Readable:
+    """Paths by the way they may be used; all of them absolute."""
+
+    trees: tuple[str, ...] = ()
+    """Folders with all beneath them, or single files."""
+    libraries: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Folders of which everything but the named entries may be read."""
+    listed: tuple[str, ...] = ()
+    """Folders whose names may be listed: Python's import asks for that."""
+    devices: tuple[str, ...] = ("/dev/null", "/dev/urandom")

@@ -11,7 +11,7 @@ import os
 import struct
 
 from slamcmp.grading.sandbox import kernel
-from slamcmp.grading.sandbox.readable import Readable
+from slamcmp.grading.sandbox.policy import Readable
 from slamcmp.grading.sandbox.syscalls import number
 
 _CLONE_NEWNS, _CLONE_NEWIPC = 0x00020000, 0x08000000

@@ -17,9 +17,8 @@ import slamcmp
 from slamcmp.grading import sandbox
 from slamcmp.grading.sandbox.bubblewrap import bubblewrap_command
 from slamcmp.grading.sandbox.channel import Channel, widen
-from slamcmp.grading.sandbox.policy import Policy
+from slamcmp.grading.sandbox.policy import Policy, Readable
 from slamcmp.grading.sandbox.proofs import Targets
-from slamcmp.grading.sandbox.readable import Readable
 
 ROOT = str(Path(slamcmp.__file__).parent.parent)
 # The sites are named because a path file that leads to one may not be readable, as in bubblewrap.
@@ -48,7 +47,9 @@ _ENVIRONMENT = {
 class Worker:
     """A running worker and its channel."""
 
-    def __init__(self, policy: Policy, readable: Readable, targets: Targets, *, bubblewrap: bool) -> None:
+    def __init__(
+        self, policy: Policy, readable: Readable, targets: Targets, *, bubblewrap: bool, tried: bool
+    ) -> None:
         request_read, request_write = os.pipe()
         reply_read, reply_write = os.pipe()
         printed_read, printed_write = os.pipe()
@@ -58,8 +59,9 @@ class Worker:
             root=ROOT, sites=readable.listed, module=_WORKER, request=request_read, reply=reply_write
         )
         # -P and -s are what -I does besides ignoring the environment, which is ours here.
-        words = [sys.executable, "-P", "-s", "-u", "-B", "-X", "utf8", "-c", boot]
+        words = [sys.executable, "-P", "-s", "-u", "-X", "utf8", "-c", boot]
         words += [str(targets.parent), targets.private_file, targets.public_file, targets.writable_folder]
+        words.append("tried" if tried else "untried")
         if bubblewrap:
             words = bubblewrap_command(readable, _source_files(policy.modules)) + words
         try:

@@ -5,9 +5,9 @@ The open attempt is the control: only where it succeeded does a refusal afterwar
 
 from __future__ import annotations
 
+import _socket
 import contextlib
 import os
-import socket
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -65,7 +65,7 @@ def attempt(targets: Targets, names: Iterable[str] = tuple(MEANING)) -> dict[str
         "write_file": lambda: _write(os.path.join(targets.writable_folder, f"attempt-{os.getpid()}")),
         "signal_parent": lambda: os.kill(targets.parent, 0),
         "read_parent": lambda: _open(f"/proc/{targets.parent}/environ"),
-        "open_socket": lambda: socket.socket().close(),
+        "open_socket": lambda: _socket.socket().close(),
         "fork": _fork,
         "execute": _execute,
     }

@@ -9,26 +9,13 @@ import re
 import sys
 import sysconfig
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from slamcmp.grading.sandbox.errors import SandboxUnavailable
+from slamcmp.grading.sandbox.policy import Readable
 
 _NEVER = {"slamcmp"}
 """It holds the solutions."""
-
-
-@dataclass(frozen=True)
-class Readable:
-    """Paths by the way they may be used; all of them absolute."""
-
-    trees: tuple[str, ...] = ()
-    """Folders with all beneath them, or single files."""
-    libraries: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    """Folders of which everything but the named entries may be read."""
-    listed: tuple[str, ...] = ()
-    """Folders whose names may be listed: Python's import asks for that."""
-    devices: tuple[str, ...] = ("/dev/null", "/dev/urandom")
 
 
 @functools.cache

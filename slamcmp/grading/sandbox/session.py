@@ -30,11 +30,11 @@ from slamcmp.grading.sandbox.errors import (
     StudentTimeout,
 )
 from slamcmp.grading.sandbox.layers import ACTIVE, Surroundings
-from slamcmp.grading.sandbox.policy import Policy
+from slamcmp.grading.sandbox.policy import Policy, Readable
 from slamcmp.grading.sandbox.process import ROOT, Worker
-from slamcmp.grading.sandbox.proofs import IN_THE_GRADER, Level, Outcome, Targets, attempt, judge, level_of
+from slamcmp.grading.sandbox.proofs import IN_THE_GRADER, MEANING, Level, Outcome, attempt, judge, level_of
 from slamcmp.grading.sandbox.protocol import FrameError, decode, encode
-from slamcmp.grading.sandbox.readable import Readable, readable_for, world_reachable
+from slamcmp.grading.sandbox.readable import readable_for, world_reachable
 from slamcmp.grading.sandbox.staging import Staging
 from slamcmp.grading.submission import Submission
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
@@ -80,7 +80,9 @@ class SandboxSession:
         readable = readable_for(self.policy.packages)
         self._staging = Staging(submission.files)
         targets = self._staging.targets
-        outside = _control_in_grader(targets)
+        tried = set(_controls) == set(MEANING)
+        if not _controls:
+            _controls.update(attempt(targets, IN_THE_GRADER))
         identity.hold_undumpable()
         try:
             uid = identity.unused_uid()
@@ -88,12 +90,12 @@ class SandboxSession:
             if bubblewrap:
                 submission_tree = str(self._staging.submission)
                 readable = replace(readable, trees=(*readable.trees, submission_tree))
-            self._worker = Worker(self.policy, readable, targets, bubblewrap=bubblewrap)
+            self._worker = Worker(self.policy, readable, targets, bubblewrap=bubblewrap, tried=tried)
         except BaseException:
             self._release()
             raise
         try:
-            self._start(readable, uid, bubblewrap, without, outside)
+            self._start(readable, uid, bubblewrap, without)
             if self.level in ("reads unprotected", "weak") and not accept_weak:
                 raise SandboxUnavailable(self._refusal())
             loaded = self._request(
@@ -232,7 +234,6 @@ class SandboxSession:
         uid: int | None,
         bubblewrap: bool,
         without: tuple[str, ...],
-        outside: Mapping[str, bool],
     ) -> None:
         around = Surroundings(
             submission=str(self._staging.submission),
@@ -259,9 +260,10 @@ class SandboxSession:
             layers["bubblewrap"] = (
                 ACTIVE if bubblewrap else "not active: not installed, or not allowed to work"
             )
-        control = {name: ok or outside.get(name, False) for name, ok in report["control"].items()}
+        for name, succeeded in report["control"].items():
+            _controls[name] = _controls.get(name, False) or succeeded
+        self.proofs = judge(_controls, report["closed"])
         self.layers = layers
-        self.proofs = judge(control, report["closed"])
         self.level = level_of(self.proofs)
 
     def _refusal(self) -> str:
@@ -339,11 +341,6 @@ def _interpreter_reachable() -> bool:
     return world_reachable(os.__file__)
 
 
-_outside: dict[str, bool] = {}
-
-
-def _control_in_grader(targets: Targets) -> Mapping[str, bool]:
-    """What an unprotected process may do here; tried once, before the grader itself is closed."""
-    if not _outside:
-        _outside.update(attempt(targets, IN_THE_GRADER))
-    return _outside
+_controls: dict[str, bool] = {}
+"""What an unprotected process may do on this machine. Tried once, partly before the grader itself is closed,
+partly by the first worker before it closes."""
