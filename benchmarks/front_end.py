@@ -61,8 +61,8 @@ class OpenCvCalls:
         response = cv2.cornerHarris(self._image, 3, 3, 0.04)
         cv2.dilate(response, np.ones((3, 3), dtype=np.uint8))
         self._orb.compute(self._image, self._ready)
-        cv2.findFundamentalMat(self._first, self._second, fundamental.usac_parameters(SEED, 1.5, 0.999, 3000))
-        cv2.findHomography(self._first, self._second, fundamental.usac_parameters(SEED, 1.8, 0.999, 1000))
+        cv2.findFundamentalMat(self._first, self._second, fundamental.usac_parameters(SEED, 1.0, 0.999, 3000))
+        cv2.findHomography(self._first, self._second, fundamental.usac_parameters(SEED, 2.0, 0.999, 1000))
 
     def match(self) -> None:
         first, second = self._described

@@ -29,7 +29,7 @@ def frontend(
     ratio: Annotated[
         float, typer.Option(min=0.1, max=1.0, help="A match must be closer than this share of the next best.")
     ] = 0.8,
-    threshold_px: Annotated[float, typer.Option(min=0.1, help="Largest distance of an inlier.")] = 1.5,
+    threshold_px: Annotated[float, typer.Option(min=0.1, help="Largest distance of an inlier.")] = 1.0,
     seed: Annotated[int, typer.Option(help="Of the sampling.")] = 0,
     formats: Annotated[list[str] | None, typer.Option("--format", help="png (default), svg or pdf.")] = None,
 ) -> None:

@@ -59,6 +59,19 @@ def test_a_camera_that_only_turns_is_named(method: str, wrong: float) -> None:
         assert recall >= 0.9
 
 
+@pytest.mark.parametrize("noise_px", [0.2, 0.5])
+def test_the_name_does_not_hang_on_the_threshold(noise_px: float) -> None:
+    """From two to five standard deviations of the noise, the same scene gets the same name."""
+    turning = two_views(1, wrong=0.2, noise_px=noise_px, translation=(0.0, 0.0, 0.0))
+    driving = two_views(1, wrong=0.2, noise_px=noise_px)
+    for deviations in (2.0, 3.0, 5.0):
+        for views, expected in ((turning, Geometry.PURE_ROTATION), (driving, Geometry.EPIPOLAR)):
+            answer = verify_matches(
+                views.first, views.second, seed=0, threshold_px=deviations * noise_px, K=K
+            )
+            assert answer.geometry is expected
+
+
 def test_no_motion_is_named() -> None:
     views = two_views(0, translation=(0.0, 0.0, 0.0), turn=np.zeros(3), noise_px=0.2)
     answer = verify_matches(views.first, views.second, seed=0)

@@ -63,8 +63,10 @@ class Verification:
     iterations: int = 0
 
 
-_HOMOGRAPHY_FACTOR = 1.2
-"""A point's distance has two degrees of freedom, Sampson's one: √(9.21 / 6.63) at 99 %."""
+_HOMOGRAPHY_FACTOR = 2.0
+"""On the threshold, for the distance in the second image: √2, since noise of both images adds up there, times
+√(9.21 / 6.63), since it has two degrees of freedom where Sampson's has one, is 1.67; the rest keeps a
+threshold that is tight for the noise from reading depth out of it."""
 _OFF_MODEL_SHARE = 0.05
 """F is determined if more than this share of its inliers (and more than eight) contradict the homography:
 an F fitted around a homography is free to pick up that many wrong matches."""
@@ -76,7 +78,7 @@ def verify_matches(
     *,
     seed: int,
     method: Method = "magsac",
-    threshold_px: float = 1.5,
+    threshold_px: float = 1.0,
     confidence: float = 0.999,
     K: FloatArray | None = None,
 ) -> Verification:
@@ -87,7 +89,7 @@ def verify_matches(
         second: pixels (m, 2) in the second image.
         seed: of the sampling.
         method: OpenCV's MAGSAC, the teaching RANSAC, or least squares on everything (which breaks).
-        threshold_px: largest Sampson distance of an inlier; 1.2 of it for a homography's distance.
+        threshold_px: largest Sampson distance of an inlier; a homography's distance may be twice that.
         confidence: probability that sampling finds a sample without outliers.
         K: calibration matrix (3, 3), with which a rotation can be told from a plane.
 

@@ -32,7 +32,7 @@ class EpipolarFit:
     iterations: int
 
 
-def least_squares(first: FloatArray, second: FloatArray, *, threshold_px: float = 1.5) -> EpipolarFit:
+def least_squares(first: FloatArray, second: FloatArray, *, threshold_px: float = 1.0) -> EpipolarFit:
     """F from all matches (m, 2) and (m, 2) at once; one gross outlier is enough to spoil it."""
     return _with_inliers(eight_point(first, second), first, second, threshold_px, 1)
 
@@ -42,7 +42,7 @@ def ransac(
     second: FloatArray,
     generator: np.random.Generator,
     *,
-    threshold_px: float = 1.5,
+    threshold_px: float = 1.0,
     confidence: float = 0.999,
     iterations_max: int = 3000,
 ) -> EpipolarFit:
@@ -96,7 +96,7 @@ def magsac(
     second: FloatArray,
     seed: int,
     *,
-    threshold_px: float = 1.5,
+    threshold_px: float = 1.0,
     confidence: float = 0.999,
     iterations_max: int = 3000,
 ) -> EpipolarFit:

@@ -135,7 +135,7 @@ def match_features(
     mutual: bool = True,
     allowed: BoolArray | None = None,
     method: Method = "magsac",
-    threshold_px: float = 1.5,
+    threshold_px: float = 1.0,
     K: FloatArray | None = None,
 ) -> PairMatches:
     """Match two images' features and reject what the geometry of two views does not allow.
