@@ -17,6 +17,7 @@ centre of the top left pixel. What lies on or behind the camera's plane has no i
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -40,7 +41,7 @@ FORWARD_CAMERA = np.array(
 FORWARD_CAMERA.flags.writeable = False
 
 
-class Camera:
+class Camera(ABC):
     """What the three cameras share: intrinsics, the mounting, and the way into the camera frame."""
 
     name: str
@@ -119,11 +120,13 @@ class Camera:
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         return z - z_predicted
 
+    @abstractmethod
     def _measure(self, q: FloatArray) -> FloatArray:
-        raise NotImplementedError
+        """z (..., d) of points in the camera frame."""
 
+    @abstractmethod
     def _derivative(self, q: FloatArray) -> FloatArray:
-        raise NotImplementedError
+        """D (..., d, 3) at points in the camera frame."""
 
     def _pixel_derivative(self, q: FloatArray) -> FloatArray:
         """Derivative of (u, v) by q, (..., 2, 3)."""
