@@ -221,7 +221,7 @@ class RobocentricChart(WorldChart):
 
     Castellanos et al. 2007, "Robocentric map joining": the state is T^-1, with e additive as in the world
     chart, and every landmark in the body frame. The observation depends on r alone; a step turns and shakes
-    every landmark. Here the step is composed with the map before the frame's update.
+    every landmark.
     """
 
     def to_body(self, T: FloatArray) -> FloatArray:

@@ -8,10 +8,10 @@ name                      chart                   Jacobians at
 ``ekf_oc``                world-additive          the nearest points that keep the gauge
 ``ekf_ideal``             world-additive          the truth
 ``ekf_right_invariant``   right-invariant         the latest estimate
-``ekf_robocentric``       robocentric             the latest estimate
 ========================  ======================  ==========================
 
-``ekf_slam`` is the latest estimate in the body tangent. For ``new_landmarks`` and ``smooth`` see
+``ekf_slam`` is the latest estimate in the body tangent; ``ekf_robocentric`` has another order of steps and
+a file of its own. For ``new_landmarks`` and ``smooth`` see
 error_state_ekf.py.
 """
 
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from slamcmp.backends.ekf_charts import RightInvariantChart, RobocentricChart, WorldChart
+from slamcmp.backends.ekf_charts import RightInvariantChart, WorldChart
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.linearisation import FirstEstimates, LatestEstimate, ObservabilityConstrained, Truth
 from slamcmp.registry import back_ends
@@ -78,17 +78,6 @@ class RightInvariantEkf(ErrorStateEkf):
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
     ) -> None:
         chart = RightInvariantChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
-
-
-@back_ends.register("ekf_robocentric")
-class RobocentricEkf(ErrorStateEkf):
-    """Robocentric EKF-SLAM: the map is kept where the robot sees it (Castellanos et al. 2007)."""
-
-    def __init__(
-        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
-    ) -> None:
-        chart = RobocentricChart(problem.sensor.space_dim)
         super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
 
 

@@ -64,6 +64,14 @@ class Growth:
 
 
 @dataclass(frozen=True)
+class Remap:
+    """All states replaced by linear functions of them, and noise."""
+
+    M: FloatArray
+    """(new states, old states)."""
+
+
+@dataclass(frozen=True)
 class FrameEnd:
     """What the filter knew after a frame."""
 
@@ -74,7 +82,7 @@ class FrameEnd:
     """The pose's rows of P, (p, states)."""
 
 
-Event = Step | Correction | Growth | FrameEnd
+Event = Step | Correction | Growth | Remap | FrameEnd
 
 
 @dataclass
@@ -96,7 +104,12 @@ class History:
         Both are in the filter's own chart, about the filter's mean.
         """
         p = self.p
-        states = p + sum(event.G.shape[0] for event in self.events if isinstance(event, Growth))
+        states = p
+        for event in self.events:
+            if isinstance(event, Growth):
+                states += event.G.shape[0]
+            elif isinstance(event, Remap):
+                states = event.M.shape[0]
         lam, Lam = np.zeros(states), np.zeros((states, states))
         frames: list[FrameEnd] = []
         errors, covariances = [], []
@@ -110,6 +123,8 @@ class History:
                 _uncorrect(event, lam, Lam)
             elif isinstance(event, Step):
                 self._unstep(event, lam, Lam)
+            elif isinstance(event, Remap):
+                lam, Lam = event.M.T @ lam, event.M.T @ Lam @ event.M
             else:
                 lam, Lam = _ungrow(event, lam, Lam, p)
         P = np.array(covariances[::-1]).reshape(-1, p, p)
@@ -124,21 +139,24 @@ class History:
         """
         p, n = self.p, self.n
         states = p + sum(event.G.shape[0] for event in self.events if isinstance(event, Growth))
-        carried = np.eye(states)
+        carried = np.eye(p, states)
+        unknowns = p
         blocks: list[FloatArray] = []
-        known = p
         for event in self.events:
             if isinstance(event, Step):
                 if event.F is not None:
                     carried[:p] = event.F @ carried[:p]
                 if event.D is not None:
-                    carried[p:known] = (event.D @ carried[p:known].reshape(-1, n, states)).reshape(-1, states)
+                    carried[p:] = (event.D @ carried[p:].reshape(-1, n, states)).reshape(-1, states)
             elif isinstance(event, Correction):
                 blocks.append(event.H @ carried[event.touched])
+            elif isinstance(event, Remap):
+                carried = event.M @ carried
             elif isinstance(event, Growth):
-                after = known + event.G.shape[0]
-                blocks.append(carried[known:after] - event.G @ carried[:p])
-                known = after
+                added = np.eye(len(event.G), states, unknowns)
+                unknowns += len(event.G)
+                blocks.append(added - event.G @ carried[:p])
+                carried = np.concatenate([carried, added])
         return np.concatenate(blocks) if blocks else np.empty((0, states))
 
     def _unstep(self, step: Step, lam: FloatArray, Lam: FloatArray) -> None:

@@ -17,6 +17,7 @@ from slamcmp.backends.ekf_variants import (
     RightInvariantEkf,
     WorldEkf,
 )
+from slamcmp.backends.robocentric_ekf import RobocentricEkf
 from slamcmp.backends.ukf_slam import UkfSlam
 from tests.anchors.planar import Errors, monte_carlo, p1, p2, p3
 from tests.oracles.filters import Make, maker
@@ -112,11 +113,11 @@ def test_p2_order_over_fifty_runs() -> None:
 
 
 def test_p3_consistent_filters_are_equal_and_the_standard_one_is_not() -> None:
-    """40 runs of 400 steps: RI, FEJ, OC and ideal within 2 % of one another and consistent."""
-    errors = monte_carlo(p3(map_seed=1), filters(*P2), seeds=range(40), steps=400)
+    """40 runs of 400 steps: RI, FEJ, OC, robocentric, ideal within 2 % of one another and consistent."""
+    errors = monte_carlo(p3(map_seed=1), filters(*P2, RobocentricEkf), seeds=range(40), steps=400)
     position = {name: one.mean_rmse()[0] for name, one in errors.items()}
     nees = {name: one.mean_nees("pose_nees") for name, one in errors.items()}
-    for name in ("FirstEstimatesEkf", "ObservabilityConstrainedEkf", "IdealEkf"):
+    for name in ("FirstEstimatesEkf", "ObservabilityConstrainedEkf", "IdealEkf", "RobocentricEkf"):
         assert position[name] == pytest.approx(position["RightInvariantEkf"], rel=0.02)
         # chi²_120 / 40: 99.9 % within [1.87, 4.46], were a run's error the same at all times.
         assert 1.87 < nees[name] < 4.46

@@ -23,10 +23,10 @@ from slamcmp.backends.ekf_variants import (
     IdealEkf,
     ObservabilityConstrainedEkf,
     RightInvariantEkf,
-    RobocentricEkf,
     WorldEkf,
 )
 from slamcmp.backends.iterated_ekf import IteratedEkf
+from slamcmp.backends.robocentric_ekf import RobocentricEkf
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.protocols import Smoother
 from slamcmp.types import Frame, GroundTruth, Problem

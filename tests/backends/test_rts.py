@@ -13,11 +13,11 @@ from slamcmp.backends.ekf_variants import (
     IdealEkf,
     ObservabilityConstrainedEkf,
     RightInvariantEkf,
-    RobocentricEkf,
     WorldEkf,
 )
 from slamcmp.backends.iterated_ekf import IteratedEkf
 from slamcmp.backends.kalman_filter import KalmanFilter, KnownHeadingKalmanFilter
+from slamcmp.backends.robocentric_ekf import RobocentricEkf
 from slamcmp.backends.ukf_slam import UkfSlam
 from slamcmp.errors import UsageError
 from slamcmp.types import MeasurementStream

@@ -13,10 +13,11 @@ import pytest
 
 from slamcmp import geometry
 from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.ekf_variants import FirstEstimatesEkf, RightInvariantEkf, RobocentricEkf, WorldEkf
+from slamcmp.backends.ekf_variants import FirstEstimatesEkf, RightInvariantEkf, WorldEkf
 from slamcmp.backends.filter_history import nullity
 from slamcmp.backends.iterated_ekf import IteratedEkf
 from slamcmp.backends.kalman_filter import KnownHeadingKalmanFilter
+from slamcmp.backends.robocentric_ekf import RobocentricEkf
 from slamcmp.backends.ukf_slam import UkfSlam
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import Frame, GroundTruth, MeasurementStream, Problem
