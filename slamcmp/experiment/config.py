@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config_errors import ConfigErrors
 from slamcmp.experiment.plugin_models import check_parameters, parameter_model
+from slamcmp.experiment.stop_rule import StopRule
 from slamcmp.experiment.yaml_source import KeyPath, YamlSource, load_yaml
 from slamcmp.registry import Plugin, Registry, back_ends, did_you_mean, figures, front_ends, sources
 
@@ -41,6 +42,9 @@ class ExperimentFields(BaseModel):
     )
     seeds: Annotated[int, Field(ge=1)] | Annotated[list[Seed], Field(min_length=1)] = Field(
         1, description="How many seeds (0, 1, …), or a list of seeds"
+    )
+    until: StopRule | None = Field(
+        None, description="Add seeds in batches until the intervals of a metric are narrow enough"
     )
     sweep: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(
         default_factory=dict, description="Dotted path of a parameter: list of its values; a grid"
@@ -88,7 +92,8 @@ class Experiment:
     front_end: Choice
     back_ends: tuple[Choice, ...]
     seeds: tuple[int | None, ...] = (0,)
-    """(None,) for a source that takes no seed."""
+    """(None,) for a source that takes no seed; with ``until`` only the first batch."""
+    until: StopRule | None = None
     sweep: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     reference: str | None = None
     time_limit_s: float = 600.0
@@ -98,14 +103,21 @@ class Experiment:
     description: str = ""
 
     def with_seeds(self, seeds: Sequence[int]) -> Experiment:
-        """The same on other seeds.
+        """The same on exactly these seeds.
 
         Raises:
             UsageError: the source takes no seed.
         """
         if self.seeds == (None,):
             raise UsageError(f"source {self.source.name!r} is recorded data: it takes no seed")
-        return replace(self, seeds=tuple(seeds))
+        return replace(self, seeds=tuple(seeds), until=None)
+
+    def with_more_seeds(self) -> Experiment:
+        """The same with the next batch of seeds, up to the most that ``until`` allows."""
+        assert self.until is not None
+        count = min(self.until.batch, self.until.max_seeds - len(self.seeds))
+        first = 1 + max(seed for seed in self.seeds if seed is not None)
+        return replace(self, seeds=(*self.seeds, *range(first, first + count)))
 
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain JSON values, with the defaults filled in, for the manifest."""
@@ -122,6 +134,7 @@ class Experiment:
             "back_ends": [{**choice(each), "label": each.label} for each in self.back_ends],
             "reference": self.reference,
             "seeds": list(self.seeds),
+            "until": None if self.until is None else self.until.model_dump(),
             "sweep": {path: list(values) for path, values in self.sweep.items()},
             "time_limit_s": self.time_limit_s,
             "memory_limit_mb": self.memory_limit_mb,
@@ -146,7 +159,8 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
     try:
         fields = ExperimentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
     except ValidationError as error:
-        errors.add_pydantic(error.errors(), (), {(): ExperimentFields.model_fields})
+        known: dict[KeyPath, Any] = {(): ExperimentFields.model_fields, ("until",): StopRule.model_fields}
+        errors.add_pydantic(error.errors(), (), known)
         # The sections that have the right shape are checked all the same: every mistake at once.
         wrong = {details["loc"][0] for details in error.errors()}
         good = {
@@ -155,7 +169,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
             if key in ExperimentFields.model_fields and key not in wrong
         }
         fields = ExperimentFields.model_construct(
-            **{"source": {}, "back_ends": [], "sweep": {}, "seeds": 1, **good}
+            **{"source": {}, "back_ends": [], "sweep": {}, "seeds": 1, "until": None, **good}
         )
     checker = _Checker(errors, path.parent)
     chosen_source = checker.choice("source", fields.source, ("source",))
@@ -166,7 +180,11 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
     ]
     checker.labels(chosen)
     checker.sweep(fields.sweep, chosen_source, front_end, chosen)
-    seeds = checker.seeds(fields.seeds, chosen_source)
+    until = None if fields.until is None else StopRule.model_validate(fields.until)
+    first = fields.seeds if until is None or "seeds" in source.data else until.batch
+    seeds = checker.seeds(first, chosen_source)
+    if until is not None:
+        checker.until(until, seeds, len(chosen))
     labels = [choice.label for choice in chosen if choice is not None]
     if fields.reference is not None and fields.reference not in labels and None not in chosen:
         errors.add(
@@ -184,6 +202,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         front_end=front_end,
         back_ends=tuple(choice for choice in chosen if choice is not None),
         seeds=seeds,
+        until=until,
         sweep={key: tuple(values) for key, values in fields.sweep.items()},
         reference=fields.reference,
         time_limit_s=fields.time_limit_s,
@@ -318,6 +337,24 @@ class _Checker:
                 )
             return (None,)
         return seeds
+
+    def until(self, rule: StopRule, seeds: Sequence[int | None], back_ends: int) -> None:
+        # It loads every metric; most experiments do not need it.
+        from slamcmp.metrics import metric_columns
+
+        known = metric_columns()
+        if rule.metric not in known:
+            what = f"until: there is no metric {rule.metric!r}{did_you_mean(rule.metric, known)}"
+            self._errors.add(("until", "metric"), what)
+        if seeds == (None,):
+            self._errors.add(("until",), "until: the source is recorded data: it has no seeds to add")
+        elif rule.max_seeds < len(seeds):
+            self._errors.add(
+                ("until", "max_seeds"),
+                f"until: max_seeds is {rule.max_seeds}, fewer than the {len(seeds)} seeds to begin with",
+            )
+        if rule.of == "difference" and back_ends < 2:
+            self._errors.add(("until", "of"), "until: a difference needs at least two back ends")
 
     def figures(self, names: Sequence[str]) -> None:
         for index, name in enumerate(names):

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
+from typing import Any
 
 import numpy as np
 
@@ -21,10 +19,12 @@ from slamcmp.experiment.atomic import StorageError, storage_error
 from slamcmp.experiment.config import Experiment, load_experiment
 from slamcmp.experiment.content_key import versions
 from slamcmp.experiment.executors import Ended, Executor
+from slamcmp.experiment.interruption import interruptions
 from slamcmp.experiment.manifest import describe_origin, now
 from slamcmp.experiment.memory import machine_memory_mb
 from slamcmp.experiment.progress import Watcher, watching
 from slamcmp.experiment.run_file import StoredRun, load_truth, run_status, save_run
+from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.experiment.store import Results, locked, save_results
 from slamcmp.experiment.tables import gather
 from slamcmp.experiment.trials import RunJob, StreamJob, Trial, make_trials
@@ -45,9 +45,9 @@ class Interrupted(SlamcmpError):
 
     def __init__(self, results: Results) -> None:
         missing = results.manifest["jobs_missing"]
+        left = f"{missing} jobs are left" if missing else "seeds were still to be added"
         super().__init__(
-            f"interrupted: {missing} jobs are left; finished ones are in {results.folder}; "
-            "the same command goes on from there"
+            f"interrupted: {left}; what finished is in {results.folder}; the same command goes on from there"
         )
         self.results = results
 
@@ -65,11 +65,19 @@ class Plan:
     """Runs whose results are there."""
 
 
-def plan_experiment(experiment: Experiment, folder: Path, *, rerun_failed: bool = False) -> Plan:
-    """Find out what is left to do, without doing it."""
+def plan_experiment(
+    experiment: Experiment,
+    folder: Path,
+    *,
+    rerun_failed: bool = False,
+    tried: Collection[str] = (),
+) -> Plan:
+    """Find out what is left to do, without doing it; the jobs whose keys are in ``tried`` are settled."""
     plan = Plan(make_trials(experiment))
-    seen: set[str] = set()
+    seen: set[str] = set(tried)
     for trial in plan.trials:
+        if trial.stream.key in seen:
+            continue
         waiting = False
         for job in trial.runs:
             if job.key in seen:
@@ -107,7 +115,7 @@ def run_experiment(
         folder: where results go; default ``results/NAME``.
         jobs: how many jobs run at a time; default: one for each core.
         rerun_failed: also run again what did not end well.
-        seeds: in place of the experiment's own.
+        seeds: exactly these, in place of the experiment's own and of its ``until``.
         executor: registered name of where jobs run.
         progress: show progress on standard error.
         command: for the manifest.
@@ -132,63 +140,34 @@ def run_experiment(
     slots = jobs or available_cores()
     place = executors.get(executor)
     workers: Executor = place.target(slots=slots)
+    rounds = _Rounds()
     with locked(folder), interruptions(catch=not place.traits.get("in_process", False)) as stop:
-        plan = plan_experiment(experiment, folder, rerun_failed=rerun_failed)
-        todo = len(plan.runs) + len(plan.streams)
-        with watching(todo, show=progress) as watcher:
-            schedule = _Schedule(plan, folder, workers, watcher, experiment, stop)
-            try:
-                schedule.run_all()
-            except KeyboardInterrupt:
-                stop.set()
-            except StorageError:
-                # The tables would meet the same full disk; the runs that were written are kept as they are.
-                workers.close()
-                raise
-            finally:
-                workers.close()
-        tables = gather(plan.trials, folder, experiment.reference, schedule.stream_faults)
+        try:
+            rounds.run_all(experiment, folder, workers, stop, rerun_failed=rerun_failed, progress=progress)
+        except KeyboardInterrupt:
+            stop.set()
+        # After a StorageError no tables: they would meet the same full disk; finished runs are kept.
+        finally:
+            workers.close()
+        tables = gather(rounds.plan.trials, folder, experiment.reference, rounds.stream_faults)
         manifest |= {
             "finished": now(),
             "wall_s": time.monotonic() - begin,
             "jobs": workers.slots,
-            "jobs_run": schedule.done,
-            "jobs_reused": plan.reused,
-            "jobs_missing": todo - schedule.done,
-            "front_end_totals": _front_end_totals(plan.trials, folder),
+            "jobs_run": rounds.done,
+            "jobs_reused": rounds.plan.reused,
+            "jobs_missing": rounds.missing,
+            "seeds": rounds.seeds(),
+            "front_end_totals": _front_end_totals(rounds.plan.trials, folder),
+            **({} if rounds.search is None else {"until": rounds.search}),
         }
         results = Results(folder, manifest, *tables)
         save_results(results)
-    if schedule.fatal is not None:
-        raise schedule.fatal
-    if stop.is_set() and manifest["jobs_missing"]:
+    if rounds.fatal is not None:
+        raise rounds.fatal
+    if stop.is_set() and (rounds.missing or rounds.unfinished):
         raise Interrupted(results)
     return results
-
-
-@contextlib.contextmanager
-def interruptions(*, catch: bool) -> Iterator[threading.Event]:
-    """An event that Ctrl-C sets; a second Ctrl-C raises KeyboardInterrupt as usual.
-
-    Raised at once, it could fall into a finaliser, where Python drops exceptions, and be lost.
-    """
-    stop = threading.Event()
-    before = signal.getsignal(signal.SIGINT)
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if not (catch and in_main_thread and callable(before)):
-        yield stop
-        return
-
-    def note(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            before(number, frame)
-        stop.set()
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield stop
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def available_cores() -> int:
@@ -196,6 +175,66 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+class _Rounds:
+    """One round of jobs; with ``until``, more rounds of more seeds until the answer is precise enough."""
+
+    def __init__(self) -> None:
+        self.plan = Plan([])
+        """Of the last round; its trials are those of all rounds."""
+        self.stream_faults: dict[str, str] = {}
+        self.fatal: SlamcmpError | None = None
+        self.search: dict[str, Any] | None = None
+        """How the search for enough seeds ended, for the manifest."""
+        self.done = 0
+        self.missing = 0
+        self.unfinished = False
+        """Ctrl-C came before the search was over."""
+        self._tried: set[str] = set()
+
+    def run_all(
+        self,
+        experiment: Experiment,
+        folder: Path,
+        workers: Executor,
+        stop: threading.Event,
+        *,
+        rerun_failed: bool,
+        progress: bool,
+    ) -> None:
+        rule = experiment.until
+        values = None if rule is None else MetricValues(folder, rule.metric, experiment.reference)
+        labels = [choice.label for choice in experiment.back_ends]
+        while True:
+            plan = plan_experiment(experiment, folder, rerun_failed=rerun_failed, tried=self._tried)
+            self.plan = plan
+            todo = len(plan.runs) + len(plan.streams)
+            self._tried |= {*plan.runs, *plan.streams}
+            with watching(todo, show=progress) as watcher:
+                schedule = _Schedule(plan, folder, workers, watcher, experiment, stop)
+                try:
+                    schedule.run_all()
+                except KeyboardInterrupt:
+                    stop.set()
+            self.stream_faults |= schedule.stream_faults
+            self.fatal = schedule.fatal
+            self.done += schedule.done
+            self.missing = todo - schedule.done
+            if rule is None or values is None:
+                return
+            found = precisions(rule, values.table(plan.trials), labels)
+            seeds = len(experiment.seeds)
+            over = not found or all(each.enough for each in found) or seeds >= rule.max_seeds
+            self.unfinished = stop.is_set() and not (over and not self.missing)
+            self.search = describe_stop(rule, found, seeds, interrupted=self.unfinished)
+            if over or stop.is_set() or self.fatal is not None:
+                return
+            experiment = experiment.with_more_seeds()
+
+    def seeds(self) -> list[int]:
+        """Every seed that was used."""
+        return list(dict.fromkeys(trial.seed for trial in self.plan.trials if trial.seed is not None))
 
 
 class _Schedule:

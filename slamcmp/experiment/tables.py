@@ -51,7 +51,7 @@ def gather(
         if known is None or not stored:
             continue
         _require_one_stream(trial, known, [run for _, run in stored])
-        truth, name = _truth(known, [run for _, run in stored], reference)
+        truth, name = trial_truth(known, [run for _, run in stored], reference)
         borrowed = truth is not None and known.truth is None
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest)
@@ -69,18 +69,7 @@ def gather(
     )
 
 
-def _require_one_stream(trial: Trial, known: StoredTruth, runs: Sequence[StoredRun]) -> None:
-    digests = {run.run.digest for run in runs} | {known.digest}
-    if len(digests) > 1:
-        raise SlamcmpError(
-            f"trial {trial.number}: its back ends ran on different streams "
-            f"({', '.join(sorted(digest[:12] for digest in digests))}), so their results cannot be compared; "
-            "the source or the front end does not repeat itself: delete the results folder and make them "
-            "depend on nothing but the seed"
-        )
-
-
-def _truth(
+def trial_truth(
     known: StoredTruth, runs: Sequence[StoredRun], reference: str | None
 ) -> tuple[GroundTruth | None, str]:
     """What the runs of a trial are compared with, and its name in the tables."""
@@ -91,6 +80,17 @@ def _truth(
         if run.back_end == reference and run.status == "ok" and run.final is not None:
             return reference_truth(run), f"{reference} (final)"
     return None, "none"
+
+
+def _require_one_stream(trial: Trial, known: StoredTruth, runs: Sequence[StoredRun]) -> None:
+    digests = {run.run.digest for run in runs} | {known.digest}
+    if len(digests) > 1:
+        raise SlamcmpError(
+            f"trial {trial.number}: its back ends ran on different streams "
+            f"({', '.join(sorted(digest[:12] for digest in digests))}), so their results cannot be compared; "
+            "the source or the front end does not repeat itself: delete the results folder and make them "
+            "depend on nothing but the seed"
+        )
 
 
 def _keys(trial: Trial, choice: Choice, digest: str) -> dict[str, Any]:

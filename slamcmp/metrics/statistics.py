@@ -25,7 +25,7 @@ Statistic = Callable[..., Any]
 """A numpy reduction such as ``np.mean``, called with ``axis=-1``."""
 
 EXACT_PAIRS = 60
-"""Up to here the signed-rank test counts every sign pattern; beyond, its normal limit differs by less than 2e-3."""
+"""Up to here the signed-rank test counts every sign pattern; beyond, the normal limit is good to 0.005."""
 
 
 @dataclass(frozen=True)

@@ -119,7 +119,7 @@ def test_signed_rank_test_by_hand_and_by_scipy():
     assert signed_rank_test(large) == pytest.approx(theirs, rel=1e-9)
     for pairs in (EXACT_PAIRS + 1, 80):
         exact = stats.wilcoxon(large[:pairs], method="exact").pvalue
-        assert signed_rank_test(large[:pairs]) == pytest.approx(exact, abs=2e-3)
+        assert signed_rank_test(large[:pairs]) == pytest.approx(exact, abs=5e-3)
 
 
 def test_signed_rank_test_with_ties_counts_every_sign_pattern():

@@ -1,0 +1,24 @@
+"""``until:`` in an experiment file: when enough seeds have run."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class StopRule(BaseModel):
+    """When enough seeds have run."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    metric: str = Field(description="Column of the trials table, e.g. online_ate")
+    half_width: float = Field(gt=0, description="Of the interval, in the metric's unit")
+    relative: bool = Field(False, description="half_width is a share: of the median, or of the median ratio")
+    of: Literal["each", "difference"] = Field(
+        "each",
+        description="Median of every back end, or median paired difference (ratio) to the first back end",
+    )
+    confidence: float = Field(0.95, gt=0.5, lt=1.0)
+    max_seeds: int = Field(200, ge=1, description="Stop here, precise or not")
+    batch: int = Field(10, ge=2, description="Seeds added between two looks; also the first ones")

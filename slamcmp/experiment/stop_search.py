@@ -1,0 +1,168 @@
+"""Add seeds in batches until the answer is as precise as ``until:`` asks for.
+
+The search looks at the width of intervals only, never at which back end is ahead, and only after whole
+batches. Even so an interval that ends a search is a little too narrow on average: measured with batches of
+ten on lognormal errors, an interval of 95 % covered the true median in 94 % of the searches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pandas as pd
+
+from slamcmp.experiment.run_file import load_run, load_truth, relabelled
+from slamcmp.experiment.stop_rule import StopRule
+from slamcmp.experiment.tables import trial_truth
+from slamcmp.experiment.trials import Trial
+from slamcmp.experiment.worker import run_path, truth_path
+from slamcmp.metrics import score_run
+from slamcmp.metrics.statistics import Interval, median_interval, paired_interval
+
+
+class MetricValues:
+    """One metric of every finished run; each file is read once, however often one asks."""
+
+    def __init__(self, folder: Path, metric: str, reference: str | None) -> None:
+        self._folder, self._metric, self._reference = folder, metric, reference
+        self._known: dict[tuple[str, ...], dict[str, float]] = {}
+
+    def table(self, trials: Sequence[Trial]) -> pd.DataFrame:
+        """One row a run: point (number of its grid point), label, seed, value (NaN where it is not ok)."""
+        points: dict[str, int] = {}
+        rows: list[tuple[int, str, int | None, float]] = []
+        for trial in trials:
+            point = points.setdefault(repr(dict(trial.swept)), len(points))
+            key = tuple(job.key for job in trial.runs)
+            if key not in self._known:
+                self._known[key] = self._read(trial)
+            rows += [(point, label, trial.seed, value) for label, value in self._known[key].items()]
+        return pd.DataFrame(rows, columns=["point", "label", "seed", "value"])
+
+    def _read(self, trial: Trial) -> dict[str, float]:
+        values = {job.back_end.label: math.nan for job in trial.runs}
+        known = load_truth(truth_path(self._folder, trial.stream.key))
+        stored = [
+            relabelled(run, job.back_end.label)
+            for job in trial.runs
+            if (run := load_run(run_path(self._folder, job.key))) is not None
+        ]
+        if known is None:
+            return values
+        truth, _ = trial_truth(known, stored, self._reference)
+        borrowed = truth is not None and known.truth is None
+        for each in stored:
+            if each.run.status == "ok":
+                scores = score_run(each.run, truth, reference=True) if borrowed else each.scores
+                values[each.run.back_end] = scores.get(self._metric, math.nan)
+        return values
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How well one median is known, and how well it should be."""
+
+    point: int
+    """Number of the grid point."""
+    label: str
+    compared_with: str
+    """The other back end of a difference; empty for a median of its own."""
+    interval: Interval
+    goal: float
+    """The half width asked for."""
+
+    @property
+    def enough(self) -> bool:
+        """Whether the interval is narrow enough."""
+        return self.interval.half_width <= self.goal
+
+    @property
+    def name(self) -> str:
+        """What the median is of."""
+        return f"{self.label} against {self.compared_with}" if self.compared_with else self.label
+
+
+def precisions(rule: StopRule, values: pd.DataFrame, labels: Sequence[str]) -> list[Precision]:
+    """The precision of each median that the rule asks for.
+
+    Args:
+        rule: the rule.
+        values: one row a run: point, label, seed, value (NaN where it failed or has no such metric).
+        labels: of the back ends; the first with a value is what differences are taken to.
+
+    Returns:
+        One entry per grid point and back end; back ends without any value at a point are left out.
+    """
+    found: list[Precision] = []
+    for point, rows in values.groupby("point", sort=True):
+        table = rows.pivot(index="seed", columns="label", values="value")
+        present = [label for label in labels if label in table and table[label].notna().any()]
+        number = int(str(point))
+        if rule.of == "each":
+            for label in present:
+                interval = median_interval(table[label], rule.confidence)
+                goal = rule.half_width * (abs(interval.estimate) if rule.relative else 1.0)
+                found.append(Precision(number, label, "", interval, goal))
+            continue
+        kind: Literal["difference", "ratio"] = "ratio" if rule.relative else "difference"
+        for label in present[1:]:
+            interval = paired_interval(table[label], table[present[0]], kind, rule.confidence)
+            goal = rule.half_width * (interval.estimate if rule.relative else 1.0)
+            found.append(Precision(number, label, present[0], interval, goal))
+    return found
+
+
+def describe_stop(
+    rule: StopRule, found: Sequence[Precision], seeds: int, *, interrupted: bool = False
+) -> dict[str, Any]:
+    """What a manifest says about the search: the rule, where it ended and why."""
+    reached = bool(found) and all(each.enough for each in found)
+    wide = sorted((each for each in found if not each.enough), key=lambda each: _excess(each), reverse=True)
+    if interrupted:
+        reason = "interrupted"
+    elif reached:
+        reason = f"every interval is narrow enough with {seeds} seeds"
+    elif not found:
+        reason = f"no finished run has a value of {rule.metric!r} to look at: more seeds would not help"
+    else:
+        worst = wide[0]
+        width = worst.interval.half_width
+        known = f"±{width:.3g}" if math.isfinite(width) else "no interval yet"
+        reason = (
+            f"{len(wide)} of {len(found)} intervals are too wide after {seeds} seeds; "
+            f"the widest: {worst.name}, {known} where ±{worst.goal:.3g} is asked for"
+        )
+    return {
+        **rule.model_dump(),
+        "statistic": _statistic(rule),
+        "reached": reached,
+        "seeds": seeds,
+        "reason": reason,
+        "intervals": [
+            {
+                "point": each.point,
+                "label": each.label,
+                "compared_with": each.compared_with or None,
+                "estimate": each.interval.estimate,
+                "low": each.interval.low,
+                "high": each.interval.high,
+                "runs": each.interval.runs,
+                "goal": each.goal,
+            }
+            for each in found
+        ],
+    }
+
+
+def _excess(precision: Precision) -> float:
+    return precision.interval.half_width / precision.goal if precision.goal > 0 else math.inf
+
+
+def _statistic(rule: StopRule) -> str:
+    if rule.of == "each":
+        return "median"
+    return "median paired ratio" if rule.relative else "median paired difference"
