@@ -32,6 +32,8 @@ POLICIES = {
 ENDS = {"ekf_slam": ("EKF", "*"), "iterated_ekf": ("iterated EKF", "D")}
 FULL = ("full smoothing", "p")
 INFINITE = "∞"
+NEAR = 0.1
+"""Share of full smoothing's error that counts as having arrived."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,21 @@ def arrangement(
             windows = tuple(sorted(groups[policy]))
             curves.append(Curve(policy, windows, tuple(groups[policy][window] for window in windows)))
     return curves, ends, full
+
+
+def reach(trials: pd.DataFrame, curves: list[Curve], full: str) -> str:
+    """``: error within 10% of full smoothing from w = 20 (latest), …``, for policies that get and stay there.
+
+    Said of medians over the runs; empty where no policy does.
+    """
+    goal = (1.0 + NEAR) * finished(trials, full, "online_ate").median()
+    said = []
+    for curve in curves:
+        near = [finished(trials, label, "online_ate").median() <= goal for label in curve.labels]
+        there = [window for i, window in enumerate(curve.windows) if all(near[i:])]
+        if there:
+            said.append(f"w = {there[0]} ({curve.policy.replace('fej', 'FEJ')})")
+    return f": error within {NEAR:.0%} of full smoothing from {', '.join(said)}" if said else ""
 
 
 def finished(trials: pd.DataFrame, label: str, column: str) -> pd.Series[float]:

@@ -13,7 +13,7 @@ from slamcmp.experiment.store import Results
 from slamcmp.metrics.consistency import average_band
 from slamcmp.report import style
 from slamcmp.report.attribution_figure import attribution_table, find_stages, plot_attribution, stage_scores
-from slamcmp.report.dial_figure import arrangement, plot_dial
+from slamcmp.report.dial_figure import arrangement, plot_dial, reach
 from slamcmp.report.selection import NotDrawable
 
 BACK_ENDS = [
@@ -105,6 +105,17 @@ def test_dial_has_the_band_of_its_number_of_runs_and_counts_failures(dial: Resul
     band = honesty.patches[0]
     assert (band.get_y(), band.get_y() + band.get_height()) == pytest.approx((low, high))
     assert [text.get_text() for text in error.texts] == ["1 failed"]
+
+
+def test_dial_says_from_which_window_on_a_policy_has_arrived(dial: Results) -> None:
+    """Within a tenth of full smoothing's median for this and every longer window."""
+    scores = {"full": 1.0, "latest 1": 1.05, "latest 5": 1.2, "latest 20": 1.09, "fej 1": 1.1, "fej 5": 0.9}
+    trials = dial.trials.assign(online_ate=dial.trials["label"].map(scores).fillna(1.5))
+    curves, _, _ = arrangement(dial.manifest)
+    assert reach(trials, curves, "full") == ": error within 10% of full smoothing from w = 20 (latest)"
+    trials.loc[trials["label"] == "fej 20", "online_ate"] = 1.0
+    assert reach(trials, curves, "full").endswith("from w = 20 (latest), w = 1 (FEJ)")
+    assert reach(trials[trials["label"] != "latest 20"], curves[2:], "full") == ""
 
 
 def test_dial_needs_windows(dial: Results) -> None:
