@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
+from slamcmp.backends import sliding_window
 from slamcmp.backends.gauss_newton import GaussNewtonStep
 from slamcmp.backends.marginalisation import Prior, Quadratic, in_world_axes
 from slamcmp.backends.sliding_window import SlidingWindow
@@ -294,6 +295,26 @@ def test_iterations_end_at_the_tolerance() -> None:
     assert loose["last_step"] < 1e-3
     assert tight["last_step"] < 1e-12
     assert loose["iterations"] < tight["iterations"] < 50
+
+
+@pytest.mark.parametrize("seed", [5, 9])
+def test_steps_that_would_raise_the_cost_are_halved(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Pinned Jacobians far off the estimate: whole steps lead away by kilometres, halved ones stay near."""
+    stream, truth, _ = toy_stream(frames=60, noise=3.0, heading_sigma=0.05, seen_at_once=1, seed=seed)
+
+    def worst_error() -> float:
+        window, worst = SlidingWindow(stream.problem, window=3, iterations=5, linearisation="fej"), 0.0
+        for frame, T in zip(stream.frames, truth, strict=True):
+            try:
+                window.update(frame)
+            except DivergedError:
+                return float("inf")
+            worst = max(worst, float(np.linalg.norm((window.estimate().T_world_body - T)[:2, 2])))
+        return worst
+
+    assert worst_error() < 10.0
+    monkeypatch.setattr(sliding_window, "HALVINGS", 0)
+    assert worst_error() > 1000.0
 
 
 def test_degrees_of_freedom_count_rows_minus_unknowns() -> None:
