@@ -141,6 +141,11 @@ def test_numbers_are_the_kernel_s(column: int, paths: tuple[str, ...]) -> None:
     assert not {name for name, value in listed.items() if value is None} & set(numbers)
 
 
+def test_an_unknown_machine_has_no_numbers() -> None:
+    with pytest.raises(NotImplementedError, match="no syscall table for riscv64"):
+        number("clone", "riscv64")
+
+
 def test_outcomes_need_a_control() -> None:
     nothing, everything = dict.fromkeys(MEANING, False), dict.fromkeys(MEANING, True)
     assert set(judge(everything, nothing).values()) == {"proved"}

@@ -230,6 +230,19 @@ def test_output_is_kept_up_to_its_cap() -> None:
     assert session.output.endswith("[402 more bytes not kept]")
 
 
+def test_control_characters_do_not_pass() -> None:
+    source = r"""
+def f():
+    print("\x1b[2Jcleared\tü")
+    raise type("A\nB", (Exception,), {})("\r\x9b2J")
+"""
+    with SandboxSession(submission(source), accept_weak=True) as session:
+        with pytest.raises(StudentError) as caught:
+            session.call("f")
+        assert session.output == "�[2Jcleared\tü\n"
+    assert (caught.value.type_name, caught.value.message) == ("A B", "��2J")
+
+
 @pytest.mark.parametrize(
     ("source", "kind", "text"),
     [
@@ -334,15 +347,25 @@ def test_packages_that_cannot_be_allowed_are_refused() -> None:
         SandboxSession(submission(FUNCTIONS), Policy(packages=("numpy", "nonexistent")))
 
 
-def test_nothing_is_left_behind() -> None:
+@pytest.fixture
+def staging_area(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A temporary folder of its own, so that other sessions on this machine don't show."""
+    with tempfile.TemporaryDirectory(prefix="area-") as folder:
+        os.chmod(folder, 0o755)
+        monkeypatch.setattr(tempfile, "tempdir", folder)
+        yield Path(folder)
+
+
+def test_nothing_is_left_behind(staging_area: Path) -> None:
     def state() -> tuple[int, int, int, list[str]]:
-        staged = [name for name in os.listdir(tempfile.gettempdir()) if name.startswith("slamcmp-")]
+        staged = os.listdir(staging_area)
         children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
         return len(os.listdir("/proc/self/fd")), len(children), kernel.prctl(kernel.PR_GET_DUMPABLE), staged
 
     before = state()
     with SandboxSession(submission(FUNCTIONS), accept_weak=True) as session:
         assert kernel.prctl(kernel.PR_GET_DUMPABLE) == 0
+        assert len(os.listdir(staging_area)) == 1
         session.call("talk", 10)
     for source in ("raise ValueError", "import os; os._exit(1)"):
         with pytest.raises(SandboxError):

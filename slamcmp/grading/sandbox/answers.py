@@ -54,12 +54,16 @@ def student_error(told: Any) -> StudentError:
     for frame in told["frames"] if isinstance(told.get("frames"), list) else []:
         if isinstance(frame, list) and len(frame) == 4 and type(frame[1]) is int:
             file, line, function, code = frame
-            frames.append(SourceLine(_clean(file, 200), line, _clean(function, 100), _clean(code, 200)))
-    return StudentError(
-        _clean(told.get("type", "Error"), 200), _clean(told.get("message", ""), 2000), tuple(frames[:16])
-    )
+            frames.append(SourceLine(_word(file), line, _word(function), _word(code)))
+    message = printable(str(told.get("message", ""))[:2000])
+    return StudentError(_word(told.get("type", "Error")), message, tuple(frames[:16]))
 
 
-def _clean(text: Any, limit: int) -> str:
-    """Text without control characters, which could rewrite a terminal."""
-    return "".join(letter if letter.isprintable() or letter == "\n" else "�" for letter in str(text)[:limit])
+def printable(text: str) -> str:
+    """Text without control characters, which could rewrite a terminal; line ends and tabs stay."""
+    return "".join(letter if letter.isprintable() or letter in "\n\t" else "�" for letter in text)
+
+
+def _word(text: Any) -> str:
+    """On one line: made-up lines could be taken for the grader's own."""
+    return printable(str(text)[:200]).replace("\n", " ")

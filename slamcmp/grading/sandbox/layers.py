@@ -27,8 +27,8 @@ class Surroundings:
     """An empty folder, as root; the private root is put there, inside the worker's own namespace."""
     uid: int | None
     """The unused uid to become, None where not root."""
-    interpreter_reachable: bool
-    """Whether that uid could read the interpreter where it lies."""
+    reachable: bool
+    """Whether that uid could read the interpreter and the submission where they lie."""
     switched_off: tuple[str, ...] = ()
     """Layers left out, to measure or test the others."""
 
@@ -57,8 +57,10 @@ def close_process(policy: Policy, readable: Readable, around: Surroundings) -> d
         report["own uid"] = "not active: needs root"
     elif "own uid" in off:
         report["own uid"] = "not active: switched off"
-    elif not around.interpreter_reachable and report["private root"] != ACTIVE:
-        report["own uid"] = f"not active: {sys.executable} lies where other users may not read"
+    elif not around.reachable and report["private root"] != ACTIVE:
+        report["own uid"] = (
+            f"not active: {sys.executable} or {around.submission} lies where other users may not read"
+        )
     else:
         uid = around.uid
         report["own uid"] = _try(lambda: become(uid))

@@ -88,14 +88,12 @@ def apply_seccomp(*, open_to_write: bool = True) -> None:
         NotImplementedError: no syscall table for this architecture.
     """
     machine = kernel.machine()
-    if machine not in AUDIT_ARCH:
-        raise NotImplementedError(f"no syscall table for {machine}")
+    seccomp = number("seccomp", machine)
+    assert seccomp is not None
     lines = program(machine, os.getpid(), open_to_write=open_to_write)
     code = b"".join(struct.pack("=HBBI", *line) for line in lines)
     buffer = ctypes.create_string_buffer(code, len(code))
     described = struct.pack("@HxxxxxxQ", len(lines), ctypes.addressof(buffer))
-    seccomp = number("seccomp", machine)
-    assert seccomp is not None
     kernel.call(seccomp, _SET_MODE_FILTER, _FLAG_TSYNC, described)
 
 

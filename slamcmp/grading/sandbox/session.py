@@ -12,6 +12,7 @@ import functools
 import os
 import secrets
 import signal
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -19,7 +20,7 @@ from types import TracebackType
 from typing import Any, NewType, Self
 
 from slamcmp.grading.sandbox import identity
-from slamcmp.grading.sandbox.answers import Answer, read_answer, student_error
+from slamcmp.grading.sandbox.answers import Answer, printable, read_answer, student_error
 from slamcmp.grading.sandbox.bubblewrap import bubblewrap_works
 from slamcmp.grading.sandbox.channel import Ended, Expired
 from slamcmp.grading.sandbox.errors import (
@@ -72,20 +73,24 @@ class SandboxSession:
         accept_weak: bool = False,
         without: tuple[str, ...] = (),
     ) -> None:
+        if not sys.platform.startswith("linux"):
+            raise SandboxUnavailable(
+                "the sandbox needs Linux; run the grader in a container or a virtual machine"
+            )
         self.policy = policy or Policy()
         self._broken: SandboxError | None = None
         self._closed = False
         self.last_wall_s = float("nan")
         """Wall time of the last request as the grader saw it, the pipe included [s]."""
         readable = readable_for(self.policy.packages)
-        self._staging = Staging(submission.files)
+        uid = identity.unused_uid()
+        self._staging = Staging(submission.files, uid)
         targets = self._staging.targets
         tried = set(_controls) == set(MEANING)
         if not _controls:
             _controls.update(attempt(targets, IN_THE_GRADER))
         identity.hold_undumpable()
         try:
-            uid = identity.unused_uid()
             bubblewrap = uid is None and "bubblewrap" not in without and bubblewrap_works()
             if bubblewrap:
                 submission_tree = str(self._staging.submission)
@@ -221,7 +226,7 @@ class SandboxSession:
         if not self._closed:
             self._worker.channel.drain()
         capture = self._worker.channel.capture
-        text = capture.kept.decode("utf-8", errors="replace")
+        text = printable(capture.kept.decode("utf-8", errors="replace"))
         return text + (f"\n[{capture.discarded} more bytes not kept]" if capture.discarded else "")
 
     def cpu_s(self) -> float:
@@ -239,7 +244,7 @@ class SandboxSession:
             submission=str(self._staging.submission),
             mount_point=str(self._staging.mount_point),
             uid=uid,
-            interpreter_reachable=_interpreter_reachable(),
+            reachable=_interpreter_reachable() and world_reachable(self._staging.targets.public_file),
             switched_off=without,
         )
         message = {

@@ -13,15 +13,18 @@ from slamcmp.grading.sandbox.proofs import Targets
 
 
 class Staging:
-    """A temporary folder that other users may look into, removed by :meth:`close`."""
+    """A temporary folder, removed by :meth:`close`; the submission in it is readable for one group only.
 
-    def __init__(self, files: Mapping[str, bytes]) -> None:
+    Without a group (not root) it is the grader's own, as the worker runs as the same user.
+    """
+
+    def __init__(self, files: Mapping[str, bytes], group: int | None) -> None:
         try:
             self._base = Path(tempfile.mkdtemp(prefix="slamcmp-")).resolve()
         except OSError as error:
             raise SandboxUnavailable(f"no temporary folder for the sandbox: {error}") from error
         self._base.chmod(0o755)
-        self.submission = self._folder("submission")
+        self.submission = self._folder("submission", 0o750)
         self.mount_point = self._folder("root")
         private = self._folder("private", 0o700)
         public = self._folder("public")
@@ -33,6 +36,8 @@ class Staging:
             path = self.submission / name
             path.parent.mkdir(parents=True, exist_ok=True)
             self._write(path, content, 0o444)
+        if group is not None:
+            os.chown(self.submission, 0, group)
 
     def close(self) -> None:
         """Remove everything."""

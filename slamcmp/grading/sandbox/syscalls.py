@@ -6,6 +6,7 @@ machine it runs on. Numbers from 424 on are the same everywhere.
 
 from __future__ import annotations
 
+MACHINES = ("x86_64", "aarch64")
 Numbers = tuple[int | None, int | None]
 
 NEWEST_KNOWN = 450
@@ -205,6 +206,11 @@ FILTERED: dict[str, Numbers] = {
 
 
 def number(name: str, machine: str) -> int | None:
-    """The number of the call ``name`` on ``machine`` (``x86_64`` or ``aarch64``)."""
-    column = {"x86_64": 0, "aarch64": 1}[machine]
-    return (DENIED.get(name) or FILTERED[name])[column]
+    """The number of the call ``name`` on ``machine`` (``x86_64`` or ``aarch64``).
+
+    Raises:
+        NotImplementedError: another machine.
+    """
+    if machine not in MACHINES:
+        raise NotImplementedError(f"no syscall table for {machine}")
+    return (DENIED.get(name) or FILTERED[name])[MACHINES.index(machine)]
