@@ -43,6 +43,7 @@ class JointCovariance:
 
     def __init__(self, P: FloatArray) -> None:
         self._p = P.shape[0]
+        self._pose_states = np.arange(self._p)
         self._n = self._p
         self._full = True
         self._buffer = np.array(P, dtype=np.float64, order="C")
@@ -73,6 +74,12 @@ class JointCovariance:
             for j in range(i + 1):
                 blocks[:, i, j] = blocks[:, j, i] = self._buffer[starts + i, starts + j]
         return blocks
+
+    def touch(self, numbers: IntArray, landmarks: FloatArray) -> IntArray:
+        """States (c,) of the pose and of these landmarks (m,) of the map ``landmarks`` (L, size)."""
+        size = landmarks.shape[1]
+        states = (size * numbers)[:, None] + np.arange(self._p, self._p + size)
+        return np.concatenate([self._pose_states, states.ravel()])
 
     def columns(self, states: IntArray, size: int) -> FloatArray:
         """Columns of P, (n, c), for ``states`` (c,): the pose's, then those of whole landmarks."""
@@ -130,18 +137,36 @@ class JointCovariance:
 
     def augment(self, G: FloatArray, N: FloatArray) -> None:
         """Add states s = G xi + noise of covariance N (a, a), uncorrelated with all else."""
-        n, p, a = self._n, self._p, G.shape[0]
+        n, p = self._n, self._p
+        # The pose's rows against all states: its own block, then the map's columns transposed.
+        pose_rows = np.concatenate([self.pose_block(), self._buffer[p:n, :p].T], axis=1)
+        rows = G @ pose_rows
+        self.append(rows, rows[:, :p] @ G.T + N)
+
+    def append(self, rows: FloatArray, corner: FloatArray) -> None:
+        """Add states: ``rows`` (a, n) with the present ones, ``corner`` (a, a) among themselves."""
+        n, a = self._n, rows.shape[0]
         self._reserve(n + a)
         P = self._buffer
-        # The pose's rows against all states: its own block, then the map's columns transposed.
-        pose_rows = np.concatenate([self.pose_block(), P[p:n, :p].T], axis=1)
-        new_rows = G @ pose_rows
-        corner = new_rows[:, :p] @ G.T + N
-        P[n : n + a, :n] = new_rows
+        P[n : n + a, :n] = rows
         P[n : n + a, n : n + a] = 0.5 * (corner + corner.T)
         if self._full:
-            P[:n, n : n + a] = new_rows.T
+            P[:n, n : n + a] = rows.T
         self._n = n + a
+
+    def overwrite(self, states: IntArray, rows: FloatArray, size: int) -> None:
+        """Set the rows (c, n) of ``states`` (c,), and their columns: the pose's, then whole landmarks'."""
+        n, p = self._n, self._p
+        P = self._buffer
+        if self._full:
+            P[states] = rows
+            P[:, states] = rows.T
+            return
+        P[:n, :p] = rows[:p].T
+        for at, start in enumerate(states[p::size].tolist()):
+            block = rows[p + at * size : p + (at + 1) * size]
+            P[start : start + size, :start] = block[:, :start]
+            P[start:n, start : start + size] = block[:, start:].T
 
     def downdate(self, W_t: FloatArray) -> None:
         """``P -= W W^T`` from W^T (k, n)."""
@@ -152,6 +177,14 @@ class JointCovariance:
             self._buffer -= self._scratch
             return
         self._add_product(-1.0, W_t, n)
+
+    def shift(self, landmarks: FloatArray, dx: FloatArray) -> None:
+        """Correct the means of the map (L, size) in place by dx (n,), the correction of the states."""
+        p, size = self._p, landmarks.shape[1]
+        landmarks[: (self._n - p) // size] += dx[p:].reshape(-1, size)
+
+    def settle(self, _landmarks: FloatArray) -> None:
+        """Nothing: no correction is ever postponed here."""
 
     def _add_product(self, sign: float, W_t: FloatArray, n: int) -> None:
         padded = np.zeros((W_t.shape[0], self._buffer.shape[0]), order="F")

@@ -25,13 +25,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.backends.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.postponed_covariance import PostponedCovariance
 from slamcmp.errors import DivergedError
 from slamcmp.geometry import adjoint_of_inverse, exp
 from slamcmp.registry import back_ends
@@ -50,21 +52,30 @@ class EkfSlam:
         new_landmarks: "join_first" puts new landmarks into the state before the update (the course's cost
             construction: linearised at the predicted pose); "update_first" corrects the pose with the
             known landmarks first and initialises the new ones from the corrected pose.
+        active_landmarks: with a number, at most that many landmarks, those seen last, are updated at every
+            frame and all others only when it is due (postponed_covariance.py): the same numbers, sooner on a
+            map of hundreds of landmarks of which few are in sight.
 
     Raises:
         DivergedError: an innovation covariance is not positive definite or not finite.
     """
 
     def __init__(
-        self, problem: Problem, *, new_landmarks: Literal["join_first", "update_first"] = "join_first"
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: Literal["join_first", "update_first"] = "join_first",
+        active_landmarks: Annotated[int, Ge(1)] | None = None,
     ) -> None:
         self._sensor = problem.sensor
         self._n = problem.sensor.space_dim
-        self._pose_states = np.arange(problem.P.shape[0])
-        self._axes = self._pose_states.size + np.arange(self._n)
         self._join_first = new_landmarks == "join_first"
         self._T = np.array(problem.T_world_body)
-        self._P = JointCovariance(problem.P)
+        self._P: JointCovariance | PostponedCovariance = (
+            JointCovariance(problem.P)
+            if active_landmarks is None
+            else PostponedCovariance(problem.P, self._n, active_landmarks)
+        )
         self._landmarks = np.empty((64, self._n))
         self._number: dict[int, int] = {}
         self._k = -1
@@ -98,6 +109,7 @@ class EkfSlam:
 
     def landmarks(self) -> Landmarks:
         """Every landmark ever seen, in the order of first sight."""
+        self._P.settle(self._landmarks)
         count = len(self._number)
         ids = np.fromiter(self._number, dtype=np.int64, count=count)
         return Landmarks(ids, self._landmarks[:count], self._P.diagonal_blocks(self._n))
@@ -136,15 +148,15 @@ class EkfSlam:
 
     def _correct(self, numbers: IntArray, z: FloatArray, R: FloatArray) -> None:
         """One Gauss–Newton step on prior and observations, in covariance form."""
-        n = self._n
+        # First, for a postponed correction of their means is due now.
+        touched = self._P.touch(numbers, self._landmarks)
         seen = self._landmarks[numbers]
         H_pose, H_land = self._sensor.jacobians(self._T, seen)
         y = self._sensor.residual(z, self._sensor.predict(self._T, seen)).ravel()
         p = H_pose.shape[2]
         # H without its zero columns: pose first, then the landmarks seen, block by block.
         H = np.concatenate([H_pose.reshape(y.size, p), block_diagonal(H_land)], axis=1)
-        touched = np.concatenate([self._pose_states, (numbers[:, None] * n + self._axes).ravel()])
-        PHt = self._P.columns(touched, n) @ H.T
+        PHt = self._P.columns(touched, self._n) @ H.T
         S = H @ PHt[touched] + block_diagonal(R)
         L, failed = dpotrf(S, lower=1)
         W_t, _ = dtrtrs(L, PHt.T, lower=1, overwrite_b=1)
@@ -159,6 +171,5 @@ class EkfSlam:
         dx = e @ W_t
         self._P.downdate(W_t)
         self._T = self._T @ exp(dx[:p])
-        count = len(self._number)
-        self._landmarks[:count] += dx[p:].reshape(count, n)
+        self._P.shift(self._landmarks, dx)
         self._nis, self._nis_dof = nis, y.size
