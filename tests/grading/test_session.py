@@ -373,6 +373,36 @@ def test_nothing_is_left_behind(staging_area: Path) -> None:
     assert state() == before
 
 
+def test_what_a_killed_grader_left_is_removed(staging_area: Path) -> None:
+    gone, alive = 2**22 + 1, os.getpid()
+    for name, age_s in ((f"slamcmp-{gone}-a", 7200), (f"slamcmp-{gone}-b", 60), (f"slamcmp-{alive}-c", 7200)):
+        (staging_area / name / "submission").mkdir(parents=True)
+        os.utime(staging_area / name, (time.time() - age_s,) * 2)
+    SandboxSession(submission(FUNCTIONS), accept_weak=True).close()
+    assert sorted(os.listdir(staging_area)) == sorted([f"slamcmp-{gone}-b", f"slamcmp-{alive}-c"])
+
+
+def test_plots_are_not_drawn_and_do_not_fail() -> None:
+    source = """
+import matplotlib
+import matplotlib.pyplot as plt
+from matplotlib.patches import Ellipse
+matplotlib.use("TkAgg")
+def f():
+    figure, axes = plt.subplots(2, 2)
+    axes[0, 1].plot([1, 2], label="x").set_color("red")
+    for axis in axes.flat:
+        axis.add_patch(Ellipse((0, 0), 1, 2))
+    with plt.style.context("ggplot"):
+        plt.show()
+    return 1.5
+"""
+    with SandboxSession(submission(source), accept_weak=True) as session:
+        assert session.call("f") == 1.5
+    with pytest.raises(StudentError, match="No module named 'matplotlib'"):
+        SandboxSession(submission(source), Policy(inert=()), accept_weak=True)
+
+
 def test_sessions_work_side_by_side_in_threads() -> None:
     results: dict[int, float] = {}
 

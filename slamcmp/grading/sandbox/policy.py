@@ -18,6 +18,8 @@ class Policy:
     """Of these, what the worker imports before it closes, so that the import costs the student no time."""
     modules: tuple[str, ...] = ("slamcmp.models.sensors",)
     """Parts of slamcmp that the submission may import besides ``slamcmp.types``; nothing else is readable."""
+    inert: tuple[str, ...] = ("matplotlib",)
+    """Packages that import as modules which do nothing, unless they are among ``packages``."""
     memory_bytes: int = 2 << 30
     """Address space, not resident memory: gtsam and OpenCV together need most of 1 GB of it."""
     cpu_s: float = 300.0

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
 from slamcmp.grading.sandbox.errors import SandboxUnavailable
 from slamcmp.grading.sandbox.proofs import Targets
+
+_PREFIX = "slamcmp-"
+_STALE_S = 3600.0
 
 
 class Staging:
@@ -20,7 +25,8 @@ class Staging:
 
     def __init__(self, files: Mapping[str, bytes], group: int | None) -> None:
         try:
-            self._base = Path(tempfile.mkdtemp(prefix="slamcmp-")).resolve()
+            _remove_stale()
+            self._base = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-")).resolve()
         except OSError as error:
             raise SandboxUnavailable(f"no temporary folder for the sandbox: {error}") from error
         self._base.chmod(0o755)
@@ -54,3 +60,17 @@ class Staging:
     def _write(path: Path, content: bytes, mode: int) -> None:
         path.write_bytes(content)
         path.chmod(mode)
+
+
+def _remove_stale() -> None:
+    """Remove what a grader that was killed has left, once it is old and its process is gone."""
+    with os.scandir(tempfile.gettempdir()) as entries:
+        for entry in entries:
+            pid = entry.name.removeprefix(_PREFIX).partition("-")[0]
+            if not entry.name.startswith(_PREFIX) or not pid.isdigit() or Path("/proc", pid).exists():
+                continue
+            # Folders of others cannot be looked at or removed, and are none of our business.
+            with contextlib.suppress(OSError):
+                info = entry.stat(follow_symlinks=False)
+                if info.st_uid == os.getuid() and time.time() - info.st_mtime > _STALE_S:
+                    shutil.rmtree(entry.path, ignore_errors=True)

@@ -32,7 +32,7 @@ def load(folder: str, entry: str, *, definitions_only: bool) -> ModuleType:
     if definitions_only:
         tree.body = [statement for statement in tree.body if _defines(statement)]
     name = os.path.splitext(os.path.basename(entry))[0]
-    if name in sys.modules or not name.isidentifier():
+    if name in sys.modules or name in sys.stdlib_module_names or not name.isidentifier():
         name = MODULE_NAME
     module = ModuleType(name)
     module.__file__ = path

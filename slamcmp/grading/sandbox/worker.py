@@ -63,6 +63,7 @@ class _Worker:
     def _close(self, message: dict[str, Any]) -> Any:
         import importlib
 
+        from slamcmp.grading.sandbox.inert import make_inert
         from slamcmp.grading.sandbox.layers import Surroundings, close_process
         from slamcmp.grading.sandbox.policy import Policy, Readable
 
@@ -74,6 +75,7 @@ class _Worker:
         self._folder = around.submission
         # slamcmp itself lies there in a development install, and cannot be read any more.
         sys.path.remove(message["root"])
+        make_inert(tuple(set(policy.inert) - set(policy.packages)))
         sys.argv[:] = ["submission"]
         sys.dont_write_bytecode = True
         closed = attempt(self._targets)
