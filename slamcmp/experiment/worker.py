@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.atomic import storage_error
 from slamcmp.experiment.plugin_models import bind_parameters
 from slamcmp.experiment.run_back_end import describe, run_back_end
 from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_truth, save_run, save_truth
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import score_run
-from slamcmp.registry import back_ends, front_ends, sources
-from slamcmp.types import GroundTruth, Log, MeasurementStream
+from slamcmp.protocols import BackEnd
+from slamcmp.registry import Plugin, back_ends, front_ends, sources
+from slamcmp.types import GroundTruth, Log, MeasurementStream, Problem
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
     plugin = back_ends.get(spec)
     bound = bind_parameters(plugin, dict(parameters))
     run = run_back_end(
-        lambda problem: plugin.target(problem, **bound),
+        lambda problem: _make_back_end(plugin, problem, bound, task),
         stream,
         label=task.label,
         parameters=parameters,
@@ -118,7 +119,26 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
         time_limit_s=task.time_limit_s,
         heartbeat=heartbeat,
     )
-    # Only now: while the back end runs, the truth is not in its process.
+    # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
+    save_run(StoredRun(run, score_run(run, _truth(task)), run.completion), task.result)
+
+
+def _make_back_end(plugin: Plugin, problem: Problem, bound: Mapping[str, Any], task: Task) -> BackEnd:
+    """A new back end; one registered with ``needs_truth`` gets the truth as well.
+
+    Raises:
+        UsageError: it needs the truth and the log has none.
+    """
+    arguments: list[Any] = [problem]
+    if plugin.traits.get("needs_truth"):
+        truth = _truth(task)
+        if truth is None:
+            raise UsageError(f"{plugin.name} needs the truth, and this source's log has none")
+        arguments.append(truth)
+    made: BackEnd = plugin.target(*arguments, **bound)
+    return made
+
+
+def _truth(task: Task) -> GroundTruth | None:
     stored = load_truth(truth_path(task.folder, task.stream_key))
-    truth = None if stored is None else stored.truth
-    save_run(StoredRun(run, score_run(run, truth), run.completion), task.result)
+    return None if stored is None else stored.truth
