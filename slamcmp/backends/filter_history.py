@@ -185,13 +185,13 @@ def nullity(matrix: FloatArray, *, relative_tolerance: float = 1e-9) -> int:
 def _uncorrect(event: Correction, lam: FloatArray, Lam: FloatArray) -> None:
     H, W_t, touched = event.H, event.W_t, event.touched
     lam[touched] += H.T @ (event.e - W_t @ lam)
-    WLam = W_t @ Lam
-    inner = WLam @ W_t.T
-    inner[np.diag_indices_from(inner)] += 1.0
-    across = H.T @ WLam
-    Lam[touched] -= across
-    Lam[:, touched] -= across.T
-    Lam[touched[:, None], touched] += H.T @ inner @ H
+    # (I - K H)^T from the left, then its transpose from the right: multiplied out, the terms would cancel
+    # and rounding would grow from frame to frame.
+    Lam[touched] -= H.T @ (W_t @ Lam)
+    Lam[:, touched] -= (Lam @ W_t.T) @ H
+    Lam[touched[:, None], touched] += H.T @ H
+    Lam += Lam.T.copy()
+    Lam *= 0.5
 
 
 def _ungrow(event: Growth, lam: FloatArray, Lam: FloatArray, p: int) -> tuple[FloatArray, FloatArray]:

@@ -166,6 +166,23 @@ def test_hindsight_lowers_the_error_over_runs(filter_class: Any, settings: dict[
     assert np.count_nonzero(after < before) >= 9
 
 
+def test_rounding_does_not_grow_over_long_runs() -> None:
+    """400 frames from an all but exact start: covariances stay positive definite and below the filter's."""
+    stream, _ = world_of(2, sensor_name="relative_position", frames=400, landmarks=30, prior_sigma=1e-6)
+    for filter_class in (WorldEkf, RightInvariantEkf, RobocentricEkf):
+        filter_ = filter_class(stream.problem, smooth=True)
+        online = []
+        for frame in stream.frames:
+            filter_.update(frame)
+            online.append(np.diagonal(filter_.estimate().P))
+        P = filter_.trajectory().P
+        scale = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+        correlation = P / (scale[:, :, None] * scale[:, None, :])
+        assert np.linalg.eigvalsh(correlation).min() > 1e-6
+        # Heading: its variance does not depend on which mean's axes it is told in.
+        assert (scale[:, 2] ** 2 <= np.array(online)[:, 2] * (1 + 1e-6)).all()
+
+
 def test_smoothing_keeps_the_filters_online_answers() -> None:
     stream, _ = world_of(2)
     plain, kept = (run(WorldEkf(stream.problem, smooth=smooth), stream) for smooth in (False, True))
