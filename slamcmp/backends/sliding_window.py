@@ -37,6 +37,7 @@ from slamcmp.backends.window_cost import (
     OdometryTerms,
     observation_terms,
     odometry_terms,
+    retract_in_world_axes,
     squared_residuals,
     tangent_turn,
 )
@@ -231,7 +232,7 @@ class SlidingWindow:
             before = self._T
             share = self._share_of(step)
             pose_step, landmark_step = share * step.pose_step, share * step.landmark_step
-            self._T = before @ exp(pose_step)
+            self._T = self._retracted(pose_step)
             self._landmarks = self._landmarks + landmark_step
             self._recentre(pose_step, landmark_step)
             if self._first_estimates:
@@ -285,11 +286,16 @@ class SlidingWindow:
         bound = (self._linear_prior.c + squares) * (1.0 + 1e-9) + 1e-9
         share = 1.0
         for _ in range(HALVINGS):
-            T = self._T @ exp(share * step.pose_step)
+            T = self._retracted(share * step.pose_step)
             if self._cost(T, self._landmarks + share * step.landmark_step) <= bound:
                 break
             share *= 0.5
         return share
+
+    def _retracted(self, pose_step: FloatArray) -> FloatArray:
+        if self._first_estimates:
+            return retract_in_world_axes(self._T, pose_step)
+        return self._T @ exp(pose_step)
 
     def _cost(self, T: FloatArray, landmarks: FloatArray) -> float:
         known = self._prior.landmarks.shape[0]

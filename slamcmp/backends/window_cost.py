@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp.geometry import adjoint, inverse, log, right_jacobian
+from slamcmp.geometry import adjoint, exp, inverse, log, right_jacobian
 from slamcmp.protocols import SensorModel
 
 FloatArray = NDArray[np.float64]
@@ -81,8 +81,8 @@ def odometry_terms(
     back = inverse(increments)
     residual = log(back @ inverse(T[:-1]) @ T[1:])
     relative = inverse(at[:-1]) @ at[1:]
-    residual_at = log(back @ relative) if shifted else residual
-    A_next = W @ np.linalg.inv(right_jacobian(residual_at))
+    # Whatever stands here, the same in both: rigid motions of the world stay invisible.
+    A_next = W @ np.linalg.inv(right_jacobian(residual))
     A_prev = -A_next @ adjoint(inverse(relative))
     if shifted:
         turn = tangent_turn(at, T)
@@ -124,6 +124,14 @@ def squared_residuals(
     total = (np.einsum("kij,kj->ki", odometry_W, steps) ** 2).sum()
     total += (np.einsum("mij,mj->mi", W, sights) ** 2).sum()
     return float(total)
+
+
+def retract_in_world_axes(T: FloatArray, xi: FloatArray) -> FloatArray:
+    """Poses (K, …) moved by body-tangent errors xi (K, p) whose translation is added, not screwed on."""
+    moved = exp(xi)
+    n = T.shape[-1] - 1
+    moved[..., :n, n] = xi[..., :2] if n == 2 else xi[..., 3:]
+    return T @ moved
 
 
 def tangent_turn(at: FloatArray, T: FloatArray) -> FloatArray:

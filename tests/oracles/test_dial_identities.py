@@ -10,6 +10,7 @@ import pytest
 
 from slamcmp import geometry
 from slamcmp.backends.ekf_slam import EkfSlam
+from slamcmp.backends.ekf_variants import FirstEstimatesEkf
 from slamcmp.backends.gtsam_factors import pose_key
 from slamcmp.backends.gtsam_graph import GraphBuilder, poses_in
 from slamcmp.backends.sliding_window import SlidingWindow
@@ -71,6 +72,18 @@ def test_relinearising_a_longer_window_leaves_the_ekf() -> None:
         smoother.update(frame)
     gap = ekf.estimate().T_world_body - smoother.estimate().T_world_body
     assert np.abs(gap).max() > 1e-3
+
+
+@pytest.mark.parametrize("make", STREAMS)
+def test_window_one_with_first_estimates_is_the_fej_ekf(make: Any) -> None:
+    """Against the covariance-form filter in its world-additive chart: two codes, one estimator."""
+    stream = make()
+    fej = FirstEstimatesEkf(stream.problem)
+    window = SlidingWindow(stream.problem, window=1, iterations=1, linearisation="fej")
+    for frame in stream.frames:
+        fej.update(frame)
+        window.update(frame)
+        assert_same_posterior(window, fej)
 
 
 @pytest.mark.parametrize("make", STREAMS)
@@ -254,7 +267,7 @@ def test_what_is_known_of_the_start_changes_no_estimate(parameters: dict[str, An
     assert gap > 1e-3 if changes else gap < 1e-7
 
 
-def assert_same_posterior(window: SlidingWindow, ekf: EkfSlam) -> None:
+def assert_same_posterior(window: SlidingWindow, ekf: Any) -> None:
     p = TANGENT_DIM[ekf.estimate().T_world_body.shape[0] - 1]
     P = ekf.joint_covariance()
     np.testing.assert_allclose(window.estimate().T_world_body, ekf.estimate().T_world_body, rtol=0, atol=1e-9)
