@@ -71,7 +71,10 @@ def plot_dial(results: Results) -> Figure:
     places = {window: float(i) for i, window in enumerate(windows)}
     right = float(len(windows))
     where = point_name(point)
-    figure = style.new_figure(12.0, 4.6, "One dial from filter to smoother" + (f"  {where}" if where else ""))
+    title = "One dial from filter to smoother" + (f"  {where}" if where else "")
+    if full in present:
+        title += reach(trials, curves, str(full))
+    figure = style.new_figure(12.0, 4.6, title)
     panels = list(figure.subplots(1, 3))
     # Mean for the panel with the band, which is one of means.
     content = [

@@ -115,7 +115,9 @@ def test_dial_says_from_which_window_on_a_policy_has_arrived(dial: Results) -> N
     assert reach(trials, curves, "full") == ": error within 10% of full smoothing from w = 20 (latest)"
     trials.loc[trials["label"] == "fej 20", "online_ate"] = 1.0
     assert reach(trials, curves, "full").endswith("from w = 20 (latest), w = 1 (FEJ)")
-    assert reach(trials[trials["label"] != "latest 20"], curves[2:], "full") == ""
+    assert reach(trials, curves[2:], "full") == ""
+    figure = plot_dial(Results(dial.folder, dial.manifest, trials, dial.frames, dial.landmarks))
+    assert figure.get_suptitle() == "One dial from filter to smoother" + reach(trials, curves, "full")
 
 
 def test_dial_needs_windows(dial: Results) -> None:
