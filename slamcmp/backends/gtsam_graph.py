@@ -23,6 +23,7 @@ from gtsam import noiseModel
 from numpy.typing import NDArray
 
 from slamcmp.backends.gtsam_factors import NoiseCache, landmark_key, observation_factors, pose_key
+from slamcmp.backends.whitening import require_definite
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.types import TANGENT_DIM, Frame, Landmarks, Problem
 
@@ -140,23 +141,6 @@ class GraphBuilder:
             if pin is not None:
                 graph.add(pin)
             known.add(landmark_id)
-
-
-def require_definite(covariance: FloatArray, what: str) -> None:
-    """Check that a covariance can be whitened, whatever its units.
-
-    Raises:
-        UsageError: it is singular, or its correlations are within 1e-12 of singular.
-    """
-    deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    if deviations.all():
-        correlation = covariance / np.outer(deviations, deviations)
-        if np.linalg.eigvalsh(correlation)[0] > 1e-12:
-            return
-    raise UsageError(
-        f"{what} is singular, and graph back ends need a positive definite one: give every direction of the "
-        "pose some noise (sideways too; several odometry sub-steps summed do), or use ekf_slam"
-    )
 
 
 def diverged(back_end: str, k: int, error: Exception) -> DivergedError:

@@ -10,27 +10,38 @@ from slamcmp.errors import UsageError
 FloatArray = NDArray[np.float64]
 
 
-def whitener(covariance: FloatArray, what: str) -> FloatArray:
-    """Lower-triangular W (p, p) with ``W^T W = covariance^-1``.
+def require_definite(covariance: FloatArray, what: str) -> None:
+    """Check that a covariance can be whitened, whatever its units.
 
     Args:
         covariance: (p, p).
         what: names the covariance in the error message.
 
     Raises:
-        UsageError: it is singular, or its correlations are within 1e-12 of singular, whatever the units.
+        UsageError: it is singular, or its correlations are within 1e-12 of singular.
     """
     deviations = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     if deviations.all():
         correlation = covariance / np.outer(deviations, deviations)
         if np.linalg.eigvalsh(correlation)[0] > 1e-12:
-            W: FloatArray = np.linalg.inv(np.linalg.cholesky(correlation)) / deviations
-            return W
+            return
     raise UsageError(
-        f"{what} is singular, and a smoother needs a positive definite one: give every direction of the "
-        "pose some noise (sideways too; several odometry sub-steps summed do), or use ekf_slam, which takes "
-        "it as it is"
+        f"{what} is singular, and graph back ends need a positive definite one: give every direction of the "
+        "pose some noise (sideways too; several odometry sub-steps summed do), or use ekf_slam"
     )
+
+
+def whitener(covariance: FloatArray, what: str) -> FloatArray:
+    """Lower-triangular W (p, p) with ``W^T W = covariance^-1``.
+
+    Raises:
+        UsageError: as :func:`require_definite`, which names it ``what``.
+    """
+    require_definite(covariance, what)
+    deviations = np.sqrt(np.diagonal(covariance))
+    correlation = covariance / np.outer(deviations, deviations)
+    W: FloatArray = np.linalg.inv(np.linalg.cholesky(correlation)) / deviations
+    return W
 
 
 def whiteners(covariances: FloatArray) -> FloatArray:
