@@ -12,9 +12,10 @@ import pandas as pd
 
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config import Choice
+from slamcmp.experiment.inspection import FINDINGS, Inspector
 from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.experiment.trials import Trial
-from slamcmp.experiment.worker import run_path, truth_path
+from slamcmp.experiment.worker import run_path, stream_path, truth_path
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.types import GroundTruth
 
@@ -53,10 +54,11 @@ def gather(
         _require_one_stream(trial, known, [run for _, run in stored])
         truth, name = trial_truth(known, [run for _, run in stored], reference)
         borrowed = truth is not None and known.truth is None
+        inspector = Inspector(stream_path(folder, known.digest), truth, borrowed)
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
-            rows.append({**keys, **scores, **_outcome(run, name)})
+            rows.append({**keys, **scores, **_outcome(run, name), **inspector.findings(run.run)})
             for tables, make in ((frames, frame_table), (landmarks, landmark_table)):
                 table = make(run.run, truth, reference=borrowed)
                 for position, (key, value) in enumerate(keys.items()):
@@ -129,13 +131,14 @@ def _row_without_stream(trial: Trial, choice: Choice, fault: str) -> dict[str, A
         "frames": 0,
         "reference": "none",
         **dict.fromkeys(COST_COLUMNS, math.nan),
+        **FINDINGS,
     }
 
 
 def _columns(trials: Sequence[Trial], rows: Sequence[Mapping[str, Any]]) -> list[str]:
     swept = list(trials[0].swept) if trials else []
     outcome = ["status", "message", "completion", "frames", "reference", *COST_COLUMNS]
-    columns = [*KEYS, *swept, *outcome, *metric_columns()]
+    columns = [*KEYS, *swept, *outcome, *FINDINGS, *metric_columns()]
     return list(dict.fromkeys([*columns, *(name for row in rows for name in row)]))
 
 

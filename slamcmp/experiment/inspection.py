@@ -1,0 +1,55 @@
+"""Why a run failed or lost its consistency, as columns of the trials table."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from slamcmp.errors import SlamcmpError
+from slamcmp.frontend.stream_file import load_stream
+from slamcmp.metrics.divergence import explain, find_suspect, first_departure
+from slamcmp.types import GroundTruth, MeasurementStream, Run
+
+FINDINGS: dict[str, Any] = {
+    "departure_test": "",
+    "departure_frame": math.nan,
+    "departure_landmark": math.nan,
+    "departure_sigmas": math.nan,
+    "diagnosis": "",
+}
+"""The columns, as they stand for a run that shows no fault: which test failed first and at which frame, the
+landmark behind it, how far off its observation was, and all that in a sentence."""
+
+
+class Inspector:
+    """Looks at the runs of one trial; the stream is only read where a run needs an explanation."""
+
+    def __init__(self, stream_file: Path, truth: GroundTruth | None, borrowed: bool) -> None:
+        self._stream_file, self._truth, self._borrowed = stream_file, truth, borrowed
+
+    def findings(self, run: Run) -> dict[str, Any]:
+        """The columns :data:`FINDINGS` of one run."""
+        departure = first_departure(run, self._truth, reference=self._borrowed)
+        if departure is None and (run.status == "ok" or not run.online.t.size):
+            return dict(FINDINGS)
+        suspect = None
+        if self._stream is not None:
+            last = run.online.t.size if departure is None else departure.k
+            # What another back end says is no ground to call a measurement wrong.
+            suspect = find_suspect(self._stream, run, None if self._borrowed else self._truth, last)
+        found = {**FINDINGS, "diagnosis": explain(run, departure, suspect)}
+        if departure is not None:
+            found |= {"departure_test": departure.test, "departure_frame": float(departure.k)}
+        if suspect is not None:
+            found |= {"departure_landmark": float(suspect.landmark), "departure_sigmas": suspect.sigmas}
+        return found
+
+    @cached_property
+    def _stream(self) -> MeasurementStream | None:
+        """None where the file is gone or damaged: tables of old runs are made all the same."""
+        try:
+            return load_stream(self._stream_file)
+        except (SlamcmpError, OSError):
+            return None
