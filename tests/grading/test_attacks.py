@@ -104,7 +104,7 @@ def test_every_attack_is_documented_with_its_defence() -> None:
     assert documented() == table(), f"run python -m tests.grading.catalogue to update {DOCUMENT.name}"
 
 
-def test_no_process_outlives_a_killed_grader(tmp_path: Path) -> None:
+def test_no_process_outlives_a_killed_grader(tmp_path: Path, staging_area: Path) -> None:
     script = f"""
 import sys
 from slamcmp.grading.sandbox.session import SandboxSession

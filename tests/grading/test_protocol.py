@@ -75,7 +75,7 @@ def test_subclasses_arrive_as_plain_values() -> None:
 @pytest.mark.parametrize(
     "value",
     [object(), {1: 2}, {1, 2}, 1j, np.array([1j]), np.array([None]), np.array(["x"]), lambda: 0, b"bytes"],
-    ids=str,
+    ids=["object", "int key", "set", "complex", "complex array", "objects", "texts", "function", "bytes"],
 )
 def test_the_rest_does_not_cross(value: Any) -> None:
     with pytest.raises(NotTransferable):

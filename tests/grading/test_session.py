@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -345,15 +344,6 @@ def test_packages_that_cannot_be_allowed_are_refused() -> None:
         SandboxSession(submission(FUNCTIONS), Policy(packages=("numpy", "slamcmp")))
     with pytest.raises(SandboxUnavailable, match="'nonexistent', which is not installed"):
         SandboxSession(submission(FUNCTIONS), Policy(packages=("numpy", "nonexistent")))
-
-
-@pytest.fixture
-def staging_area(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A temporary folder of its own, so that other sessions on this machine don't show."""
-    with tempfile.TemporaryDirectory(prefix="area-") as folder:
-        os.chmod(folder, 0o755)
-        monkeypatch.setattr(tempfile, "tempdir", folder)
-        yield Path(folder)
 
 
 def test_nothing_is_left_behind(staging_area: Path) -> None:
