@@ -50,7 +50,7 @@ IntArray = NDArray[np.int64]
 
 
 HALVINGS = 8
-"""Of a step that raises the cost; what is left then moves nothing."""
+"""Most halvings of a step that raises the cost; what is left then moves nothing, and ends the frame."""
 
 
 @back_ends.register("sliding_window")
@@ -242,7 +242,8 @@ class SlidingWindow:
             self._step, self._joint, self._used = step, None, iteration
             sizes = np.abs(pose_step).max(), np.abs(landmark_step).max(initial=0.0)
             self._last_size = float(max(sizes))
-            if self._last_size < self._tolerance:
+            # A step that was halved to nothing would only be computed once more.
+            if self._last_size < self._tolerance or share <= 0.5**HALVINGS:
                 break
 
     def _linearise(self) -> None:
