@@ -149,6 +149,10 @@ class Errors:
         values[:, :skip] = 0.0
         return float(values.mean())
 
+    def nees_of_runs(self, skip: int = 10) -> list[float]:
+        """Each run's time-mean of the pose's NEES, without its first ``skip`` frames."""
+        return [float(run[skip:].mean()) for run in self.pose_nees]
+
 
 def _form(error: np.ndarray, P: np.ndarray) -> np.ndarray:
     try:
