@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from slamcmp.experiment.runner import Plan
     from slamcmp.experiment.store import Results
 
-EXPERIMENTS = Path(__file__).resolve().parent.parent / "experiments"
-
 UPRIGHT_ROWS = 6
 """A table with at most so many rows is printed with one line a column."""
 FILE_WIDTH = 160
@@ -50,6 +48,7 @@ def run(
         warm_up()
     from slamcmp.experiment.config import load_experiment
     from slamcmp.experiment.runner import plan_experiment, run_experiment
+    from slamcmp.experiment.shipped import find_experiment
 
     experiment = load_experiment(find_experiment(config))
     seeds = None if seed is None else [seed]
@@ -71,8 +70,9 @@ def run(
         command=" ".join(["slamcmp", *sys.argv[1:]]),
     )
     from slamcmp.report import summary_table, write_report
+    from slamcmp.report.summary import terminal_table
 
-    summary = summary_table(found)
+    summary = summary_table(found) if as_json else terminal_table(found)
     report = None if no_report else write_report(found, folder / "report.html")
     failed = found.trials[found.trials["status"] != "ok"]
     if as_json:
@@ -93,25 +93,6 @@ def run(
         _print_results(found, summary, failed, report)
     if len(failed):
         raise typer.Exit(1)
-
-
-def find_experiment(config: str) -> Path:
-    """The file ``config``, or the shipped experiment of that name.
-
-    Raises:
-        MissingDataError: neither is there.
-    """
-    from slamcmp.errors import MissingDataError
-    from slamcmp.registry import did_you_mean
-
-    path = Path(config)
-    shipped = {each.stem: each for each in sorted(EXPERIMENTS.glob("*.yaml"))}
-    if path.is_file():
-        return path
-    if config in shipped:
-        return shipped[config]
-    hint = did_you_mean(path.stem, shipped) if shipped else ""
-    raise MissingDataError(f"there is no experiment file {config!r}{hint}")
 
 
 def json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -212,6 +193,9 @@ def _print_results(
     for row in failed.itertuples():
         seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed!s}"
         print(f"{row.status!s}: {row.label!s} (trial {row.trial!s}{seed}): {row.message!s}", file=sys.stderr)
+    search = results.manifest.get("until")
+    if search:
+        print(f"seeds: {search['reason']}")
     print(f"results: {results.folder}")
     if report is not None:
         print(f"report: {report}")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slamcmp.cli_run import EXPERIMENTS
 from slamcmp.errors import UsageError
 from slamcmp.registry import (
     back_ends,
@@ -86,11 +85,11 @@ def _summaries(kind: str) -> list[tuple[str, str]]:
 
 
 def _experiments() -> list[tuple[str, str]]:
+    from slamcmp.experiment.shipped import shipped_experiments
     from slamcmp.experiment.yaml_source import load_yaml
 
     return [
-        (path.stem, str(load_yaml(path).data.get("question", "")))
-        for path in sorted(EXPERIMENTS.glob("*.yaml"))
+        (name, str(load_yaml(path).data.get("question", ""))) for name, path in shipped_experiments().items()
     ]
 
 

@@ -26,10 +26,10 @@ def save(
     trial: Annotated[int, typer.Option(min=0, help="Which trial's stream.")] = 0,
 ) -> None:
     """Make the stream that every back end of a trial gets, and store it."""
-    from slamcmp.cli_run import find_experiment
     from slamcmp.errors import UsageError
     from slamcmp.experiment.atomic import storage_error
     from slamcmp.experiment.config import load_experiment
+    from slamcmp.experiment.shipped import find_experiment
     from slamcmp.experiment.trials import make_trials
     from slamcmp.experiment.worker import make_stream
     from slamcmp.frontend.stream_file import save_stream
