@@ -1,0 +1,22 @@
+"""A test's plots as images inside of a file."""
+
+from __future__ import annotations
+
+import base64
+from functools import lru_cache
+from typing import Literal
+
+from slamcmp.grading.outcome import Plot
+
+
+@lru_cache(maxsize=64)
+def data_uri(plot: Plot, image_format: Literal["png", "svg"]) -> str:
+    """The plot as a data URI; drawn once where it is asked for again, as it is after each test."""
+    # Loading matplotlib takes longer than many a grading.
+    from slamcmp.report.figures import figure_bytes
+    from slamcmp.report.grade_figures import Curve, plot_curves
+
+    curves = [Curve(series.name, series.y, series.role) for series in plot.series]
+    figure = plot_curves(plot.title, plot.x_label, plot.y_label, plot.x, curves)
+    kind = "svg+xml" if image_format == "svg" else image_format
+    return f"data:image/{kind};base64,{base64.b64encode(figure_bytes(figure, image_format)).decode()}"
