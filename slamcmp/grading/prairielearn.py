@@ -13,11 +13,11 @@ from typing import Any
 from slamcmp.experiment.atomic import write_atomically
 from slamcmp.grading.grade_images import data_uri
 from slamcmp.grading.outcome import GradeOutcome, TestOutcome
-from slamcmp.grading.student_view import STATUS_WORDS, clean, opening, rounded, total, visible_tests
+from slamcmp.grading.student_view import STATUS_WORDS, TEXT_MAX, clean, opening, rounded, total, visible_tests
 
 BYTES_MAX = 1_000_000
 """Of the file; a larger one is refused with the score in it."""
-_TEXT_SHORT = 400
+_TEXT_MIN = 100
 
 
 def prairielearn_results(outcome: GradeOutcome, *, images: bool = True) -> dict[str, Any]:
@@ -33,11 +33,7 @@ def prairielearn_results(outcome: GradeOutcome, *, images: bool = True) -> dict[
     }
     room = BYTES_MAX - len(encoded(results))
     if room < 0:
-        for test in results["tests"]:
-            test["output"] = test["output"][:_TEXT_SHORT]
-        # Thousands of tests with nothing but their names are more than a page can show anyway.
-        while len(encoded(results)) > BYTES_MAX:
-            del results["tests"][len(results["tests"]) // 2 :]
+        _shorten(results)
         return results
     for test, entry in zip(shown, results["tests"], strict=True):
         for plot in test.plots if images else ():
@@ -62,6 +58,17 @@ def write_prairielearn_results(outcome: GradeOutcome, path: Path, *, images: boo
 def encoded(results: dict[str, Any]) -> bytes:
     """As it is written."""
     return json.dumps(results, allow_nan=False).encode()
+
+
+def _shorten(results: dict[str, Any]) -> None:
+    """Cut the longest messages first; only then leave out tests, of which no page can show so many."""
+    longest = TEXT_MAX
+    while len(encoded(results)) > BYTES_MAX:
+        longest //= 2
+        for test in results["tests"]:
+            test["output"] = test["output"][:longest]
+        if longest < _TEXT_MIN:
+            del results["tests"][len(results["tests"]) // 2 :]
 
 
 def _test(test: TestOutcome) -> dict[str, Any]:
