@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow
 
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.experiment.atomic import storage_error, write_atomically
@@ -44,13 +45,21 @@ def save_results(results: Results) -> None:
 
     Raises:
         StorageError: the folder cannot be written; finished runs in it are not touched.
+        DataError: a column holds what Parquet cannot.
     """
     for name in TABLES:
         table: pd.DataFrame = getattr(results, name)
-        write_atomically(
-            results.folder / f"{name}.parquet",
-            lambda file, table=table: table.to_parquet(file, index=False, compression="zstd"),  # type: ignore[misc]
-        )
+        path = results.folder / f"{name}.parquet"
+        try:
+            write_atomically(
+                path,
+                lambda file, table=table: table.to_parquet(file, index=False, compression="zstd"),  # type: ignore[misc]
+            )
+        except (pyarrow.ArrowException, ValueError, TypeError) as error:
+            raise DataError(
+                f"{path}: the table of {name} has a column that Parquet cannot hold ({error}); the runs "
+                f"themselves are kept in {results.folder / 'runs'}"
+            ) from error
     text = json.dumps(_finite(results.manifest), indent=2, default=str, allow_nan=False)
     write_atomically(results.folder / MANIFEST, lambda file: file.write(text.encode()))
 

@@ -36,10 +36,11 @@ def gather(
     rows: list[dict[str, Any]] = []
     frames: list[pd.DataFrame] = []
     landmarks: list[pd.DataFrame] = []
+    kinds = _kinds(trials)
     for trial in trials:
         if trial.stream.key in stream_faults:
             rows += [
-                _row_without_stream(trial, job.back_end, stream_faults[trial.stream.key])
+                _row_without_stream(_keys(trial, job.back_end, "", kinds), stream_faults[trial.stream.key])
                 for job in trial.runs
             ]
             continue
@@ -56,7 +57,7 @@ def gather(
         borrowed = truth is not None and known.truth is None
         inspector = Inspector(stream_path(folder, known.digest), truth, borrowed)
         for choice, run in stored:
-            keys = _keys(trial, choice, known.digest)
+            keys = _keys(trial, choice, known.digest, kinds)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
             rows.append({**keys, **scores, **_outcome(run, name), **inspector.findings(run.run)})
             for tables, make in ((frames, frame_table), (landmarks, landmark_table)):
@@ -95,14 +96,14 @@ def _require_one_stream(trial: Trial, known: StoredTruth, runs: Sequence[StoredR
         )
 
 
-def _keys(trial: Trial, choice: Choice, digest: str) -> dict[str, Any]:
+def _keys(trial: Trial, choice: Choice, digest: str, kinds: Mapping[str, str]) -> dict[str, Any]:
     return {
         "trial": trial.number,
         "label": choice.label,
         "back_end": choice.name,
         "seed": trial.seed,
         "digest": digest,
-        **{path: _cell(value) for path, value in trial.swept.items()},
+        **{path: _cell(value, kinds[path]) for path, value in trial.swept.items()},
     }
 
 
@@ -122,9 +123,9 @@ def _outcome(stored: StoredRun, reference: str) -> dict[str, Any]:
     }
 
 
-def _row_without_stream(trial: Trial, choice: Choice, fault: str) -> dict[str, Any]:
+def _row_without_stream(keys: Mapping[str, Any], fault: str) -> dict[str, Any]:
     return {
-        **_keys(trial, choice, ""),
+        **keys,
         "status": "crashed",
         "message": f"no stream: {fault}",
         "completion": 0.0,
@@ -154,6 +155,23 @@ def _typed(table: pd.DataFrame) -> pd.DataFrame:
     return table.astype({"trial": "int64", "seed": "Int64"})
 
 
-def _cell(value: Any) -> Any:
-    """A swept value as a table can hold it."""
-    return value if isinstance(value, bool | int | float | str) else json.dumps(value)
+def _kinds(trials: Sequence[Trial]) -> dict[str, str]:
+    """What each swept path's column holds: ``bool``, ``number``, or ``text`` where kinds are mixed."""
+    found: dict[str, set[str]] = {}
+    for trial in trials:
+        for path, value in trial.swept.items():
+            known = found.setdefault(path, set())
+            if isinstance(value, bool):
+                known.add("bool")
+            elif isinstance(value, int | float):
+                known.add("number")
+            elif value is not None:
+                known.add("text")
+    return {path: next(iter(known)) if len(known) == 1 else "text" for path, known in found.items()}
+
+
+def _cell(value: Any, kind: str) -> Any:
+    """A swept value as a column of that kind can hold it; null is a missing one."""
+    if value is None:
+        return math.nan if kind == "number" else None
+    return json.dumps(value) if kind == "text" and not isinstance(value, str) else value

@@ -87,7 +87,9 @@ def point_name(point: Mapping[str, Any]) -> str:
 
 
 def value_text(value: Any) -> str:
-    """A swept value as a reader writes it."""
+    """A swept value as a reader writes it; a missing one stands for the configuration's null."""
+    if value is None or value != value:
+        return "none"
     if isinstance(value, float | np.floating):
         return f"{float(value):g}"
     return str(value)

@@ -48,7 +48,7 @@ DODGE = 0.012
 def plot_sweep(results: Results) -> Figure:
     """Median and quartiles of the main metrics against each swept path, per back end."""
     trials = results.trials.assign(online_ms=milliseconds_per_frame(results.trials, "update_s", "estimate_s"))
-    paths = [path for path in swept_columns(trials) if trials[path].nunique() > 1]
+    paths = [path for path in swept_columns(trials) if trials[path].nunique(dropna=False) > 1]
     if not paths:
         raise NotDrawable("nothing was swept")
     panels = [
@@ -62,7 +62,7 @@ def plot_sweep(results: Results) -> Figure:
     grid = figure.subplots(len(paths), len(panels), squeeze=False)
     for row, path in enumerate(paths):
         others = {other: value for other, value in middle.items() if other != path}
-        rows = at_point(trials, others)
+        rows = _with_names(at_point(trials, others), path)
         for column, (metric, name) in enumerate(panels):
             axes = grid[row, column]
             _draw_metric(axes, results, rows, path, metric)
@@ -122,6 +122,11 @@ def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, me
         style.log_axis(axes, "x")
     axes.set_xticks(list(positions.values()), [value_text(value) for value in positions])
     axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
+
+
+def _with_names(rows: pd.DataFrame, path: str) -> pd.DataFrame:
+    """The rows with every value at ``path`` as a name where null is among them, so that it gets a place."""
+    return rows.assign(**{path: rows[path].map(value_text)}) if rows[path].isna().any() else rows
 
 
 def _positions(values: pd.Series[Any]) -> dict[Any, float]:

@@ -4,6 +4,7 @@ import os
 import resource
 import signal
 import time
+from typing import Any
 
 import numpy as np
 
@@ -63,6 +64,13 @@ class DeadReckoning:
 
     def estimate(self) -> Estimate:
         return Estimate(self.T, self.P)
+
+
+class Anything(DeadReckoning):
+    """Takes a value of any kind."""
+
+    def __init__(self, problem: Problem, *, value: Any = None) -> None:
+        super().__init__(problem)
 
 
 class Hindsight(DeadReckoning):
