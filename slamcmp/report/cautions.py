@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.special import bdtrc, chdtrc
 
 from slamcmp.experiment.store import Results
+from slamcmp.metrics.consistency import average_band
+from slamcmp.report.certainty import last_frame_nees, runs_by_point
 from slamcmp.report.selection import (
     has_values,
-    labels,
     point_name,
     reference_name,
     swept_columns,
@@ -20,7 +24,17 @@ from slamcmp.report.summary import ENOUGH_SEEDS
 HEALTHY_NIS = (0.8, 1.25)
 """NIS per degree of freedom that a reader would pass as healthy."""
 FAR_SIGMAS = 3.0
-"""Median distance, in the back end's own standard deviations, that its covariance cannot explain."""
+"""Median distance, in the back end's own standard deviations, that its covariance cannot explain.
+
+A consistent back end's is about 1.2; one error common to all frames or landmarks passes 3 by chance in
+:data:`FAR_CHANCE` of the runs, so a few far runs among many are no sign.
+"""
+FAR_CHANCE = float(chdtrc(2, FAR_SIGMAS**2))
+"""0.011: of a chi-square variable of two degrees of freedom."""
+FAR_BY_LUCK = 0.02
+"""Probability of that many far runs below which a caution is given."""
+SURE = 0.998
+"""Two-sided share of the ANEES band: one false caution in a thousand grid points."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +75,17 @@ def distance_in_sigmas(frames: pd.DataFrame) -> float:
     return float(np.sqrt(np.median(usable))) if usable.size else float("nan")
 
 
+def map_distance_in_sigmas(landmarks: pd.DataFrame) -> float:
+    """Median over the last map's landmarks of the Mahalanobis distance (x and y) to the truth or reference.
+
+    NaN where neither knows them.
+    """
+    if not has_values(landmarks, ["true_x", "P_xx"]):
+        return float("nan")
+    names = {f"P_{name}": f"online_P_{name}" for name in ("xx", "xy", "yy")}
+    return distance_in_sigmas(landmarks.rename(columns={"x": "online_x", "y": "online_y", **names}))
+
+
 def _failed(results: Results) -> Caution | None:
     failed = results.trials[results.trials["status"] != "ok"]
     if failed.empty:
@@ -79,24 +104,30 @@ def _failed(results: Results) -> Caution | None:
 
 
 def _healthy_but_far(results: Results) -> Caution | None:
+    """Runs whose NIS passes while position or map is far off, or whose NEES over the runs tells it."""
     if not has_values(results.trials, ["nis_per_dof"]) or results.frames.empty:
         return None
-    distances = {
-        key: distance_in_sigmas(rows) for key, rows in results.frames.groupby(["trial", "label"], sort=False)
-    }
+    keys = ["trial", "label"]
+    position = {key: distance_in_sigmas(rows) for key, rows in results.frames.groupby(keys, sort=False)}
+    in_map = {key: map_distance_in_sigmas(rows) for key, rows in results.landmarks.groupby(keys, sort=False)}
     parts = []
-    for label in labels(results):
-        own = results.trials[results.trials["label"] == label]
+    for point, label, own in runs_by_point(results):
         healthy = own[own["nis_per_dof"].between(*HEALTHY_NIS)]
-        sigmas = healthy["trial"].map(lambda trial, label=label: distances.get((trial, label), np.nan))
-        far = sigmas[sigmas > FAR_SIGMAS]
-        if far.empty:
+        if healthy.empty:
             continue
-        nis = healthy.loc[far.index, "nis_per_dof"].median()
-        parts.append(
-            f"{label}: NIS/dof {nis:.2f}, yet the online position is typically {far.median():.1f} of its own "
-            f"standard deviations away ({len(far)} of {len(own)} runs)"
-        )
+        where = point_name(point)
+        name = f"{label}{f' at {where}' if where else ''}: NIS/dof {healthy['nis_per_dof'].median():.2f}"
+        told = [
+            f"the {what} typically {far.median():.1f} of its own standard deviations away "
+            f"({far.size} of {len(own)} runs)"
+            for what, distances in (("online position is", position), ("last map's landmarks are", in_map))
+            if (far := _far(healthy["trial"], label, distances)).size
+            and bdtrc(far.size - 1, len(healthy), FAR_CHANCE) < FAR_BY_LUCK
+        ]
+        if not told:
+            told = _average_tells(results, own, len(healthy))
+        if told:
+            parts.append(f"{name}, yet {' and '.join(told)}")
     if not parts:
         return None
     reference = reference_name(results)
@@ -105,9 +136,30 @@ def _healthy_but_far(results: Results) -> Caution | None:
         target = f"the reference {reference}"
     return Caution(
         "A healthy NIS hides a wrong trajectory",
-        f"{'; '.join(parts)}. The distance is to {target}. The innovations only test each step against the "
+        f"{'; '.join(parts)}. Distances are to {target}. The innovations only test each step against the "
         "map the back end already has; they do not see that the map itself has drifted.",
     )
+
+
+def _far(trials: pd.Series[Any], label: str, distances: Mapping[Any, float]) -> pd.Series[float]:
+    """Of these trials the distances that a covariance cannot explain."""
+    found = pd.Series([distances.get((trial, label), np.nan) for trial in trials], dtype=float)
+    return found[found > FAR_SIGMAS]
+
+
+def _average_tells(results: Results, own: pd.DataFrame, healthy: int) -> list[str]:
+    """Overconfidence too small to see in one run but plain over all: ANEES of the last frame."""
+    dof = 6 if has_values(results.frames, ["online_err_5"]) else 3
+    nees = last_frame_nees(results, own)
+    if nees.runs < ENOUGH_SEEDS or 2 * healthy < len(own):
+        return []
+    limit = float(average_band(dof, nees.runs, SURE)[1])
+    if nees.average <= limit:
+        return []
+    return [
+        f"the last pose's NEES averages {nees.average:.1f} over {nees.runs} runs where a consistent back end "
+        f"stays below {limit:.1f}"
+    ]
 
 
 def _few_runs(results: Results) -> Caution | None:

@@ -15,9 +15,12 @@ import pandas as pd
 
 from slamcmp.experiment.store import Results
 from slamcmp.report.cautions import cautions
+from slamcmp.report.certainty import certainty_table
+from slamcmp.report.faults import fault_table
 from slamcmp.report.figures import each_figure, figure_bytes
+from slamcmp.report.numbers import interval_text, number_text
 from slamcmp.report.selection import reference_name, swept_columns, value_text
-from slamcmp.report.summary import paired_table, summary_columns, summary_table
+from slamcmp.report.summary import paired_table, summary_columns, summary_intervals, summary_table
 
 SVG_LIMIT = 300_000
 """Bytes above which a figure goes in as PNG: a long log's SVG makes the page slow."""
@@ -32,6 +35,8 @@ class Cell:
     numeric: bool = False
     title: str = ""
     status: str = ""
+    note: str = ""
+    """A smaller line below."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,8 @@ def report_html(results: Results) -> str:
     columns = summary_columns(results)
     summary = summary_table(results)
     paired = paired_table(results)
+    certainty = certainty_table(results)
+    faults, more_faults = fault_table(results)
     swept = swept_columns(results.trials)
     manifest = results.manifest
     names = manifest.get("config", {}).get("figures")
@@ -81,7 +88,13 @@ def report_html(results: Results) -> str:
         key_headers=[name for name in summary.columns if name not in {c.full_header for c in columns}],
         groups=_groups([column.group for column in columns]),
         columns=columns,
-        summary_rows=_rows(summary, swept),
+        summary_rows=_with_intervals(_rows(summary, swept), list(summary.columns), results),
+        search=_search_text(manifest),
+        certainty_headers=list(certainty.columns),
+        certainty_rows=_rows(certainty, swept),
+        fault_headers=list(faults.columns),
+        fault_rows=_rows(faults, swept),
+        more_faults=more_faults,
         paired_headers=list(paired.columns),
         paired_rows=_rows(paired, swept),
         figures=[figure for figure in shown if figure.source],
@@ -113,22 +126,37 @@ def swept_cell(value: Any) -> Cell:
     return known if known.text == "–" else replace(known, text=value_text(value))
 
 
-def number_text(value: float) -> str:
-    """Three significant digits, without an exponent between 0.001 and 100 000."""
-    if abs(value) < 1e-12:
-        # What rounding leaves of the reference's difference from itself.
-        return "0"
-    if 1e-3 <= abs(value) < 1e5:
-        digits = max(0, 2 - int(np.floor(np.log10(abs(value)))))
-        return f"{value:.{digits}f}"
-    return f"{value:.2e}"
-
-
 def _rows(table: pd.DataFrame, swept: list[str]) -> list[list[Cell]]:
     return [
         [swept_cell(value) if name in swept else cell(value) for name, value in row.items()]
         for row in table.to_dict("records")
     ]
+
+
+def _with_intervals(rows: list[list[Cell]], names: list[str], results: Results) -> list[list[Cell]]:
+    """The summary's rows with the interval of each median below it."""
+    return [
+        [
+            replace(shown, note=interval_text(known[name])) if name in known else shown
+            for name, shown in zip(names, row, strict=True)
+        ]
+        for row, known in zip(rows, summary_intervals(results), strict=True)
+    ]
+
+
+def _search_text(manifest: Mapping[str, Any]) -> str:
+    """How the search for enough seeds ended; empty where the experiment did none."""
+    search = manifest.get("until")
+    if not search:
+        return ""
+    asked = f"{100 * search['half_width']:g} %" if search["relative"] else f"{search['half_width']:g}"
+    confidence = f"{100 * search['confidence']:g} %"
+    return (
+        f"Seeds were added in batches of {search['batch']} until the {confidence} interval of the "
+        f"{search['statistic']} of {search['metric']} is within ±{asked}, at most "
+        f"{search['max_seeds']} seeds: {search['reason']}. The rule looks at widths only, not at who is "
+        "ahead; an interval that ends a search is still a little too narrow."
+    )
 
 
 def _embed(drawn: Any) -> ReportFigure:

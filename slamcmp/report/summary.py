@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pandas as pd
-from scipy.special import bdtr
 
 from slamcmp.experiment.store import Results
 from slamcmp.metrics import metric_columns
+from slamcmp.metrics.statistics import (
+    Interval,
+    median_interval,
+    paired_interval,
+    sign_test,
+    signed_rank_test,
+)
+from slamcmp.report.certainty import failure_rate, runs_by_point, worst_run
+from slamcmp.report.numbers import interval_text, number_text
 from slamcmp.report.selection import at_point, grid_points, has_values, labels, swept_columns
 
 TRAJECTORY_METRICS = ("ate", "ate_aligned", "heading_rmse_deg", "pose_nees")
@@ -56,28 +66,58 @@ def summary_table(results: Results) -> pd.DataFrame:
     """
     columns = summary_columns(results)
     rows: list[dict[str, Any]] = []
-    for point in grid_points(results.trials):
-        here = at_point(results.trials, point)
-        for label in labels(results):
-            own = here[here["label"] == label]
-            if own.empty:
-                continue
-            ok = own[own["status"] == "ok"]
-            failed = [
-                f"{int((own['status'] == s).sum())} {s}" for s in STATUSES if (own["status"] == s).any()
-            ]
-            rows.append(
-                {
-                    "back end": label,
-                    **point,
-                    "runs": len(own),
-                    "ok": len(ok),
-                    "failed": ", ".join(failed),
-                    "reference": ", ".join(sorted(own["reference"].dropna().astype(str).unique())),
-                    **{column.full_header: ok[column.name].median() for column in columns},
-                }
-            )
+    for point, label, own in runs_by_point(results):
+        ok = own[own["status"] == "ok"]
+        failed = [f"{int((own['status'] == s).sum())} {s}" for s in STATUSES if (own["status"] == s).any()]
+        rows.append(
+            {
+                "back end": label,
+                **point,
+                "runs": len(own),
+                "ok": len(ok),
+                "failed": ", ".join(failed),
+                "reference": ", ".join(sorted(own["reference"].dropna().astype(str).unique())),
+                **{column.full_header: ok[column.name].median() for column in columns},
+            }
+        )
     return pd.DataFrame(rows)
+
+
+def summary_intervals(results: Results) -> list[dict[str, Interval]]:
+    """For each row of :func:`summary_table` the 95 % interval of each median, by the column's heading."""
+    columns = summary_columns(results)
+    return [
+        {
+            column.full_header: median_interval(own[own["status"] == "ok"][column.name].astype(float))
+            for column in columns
+        }
+        for _, _, own in runs_by_point(results)
+    ]
+
+
+def terminal_table(results: Results) -> pd.DataFrame:
+    """The summary with what a reader must see beside the first error: its interval, its worst run.
+
+    Failure rates stand beside the counts as soon as there are enough runs to speak of a rate.
+    """
+    table = summary_table(results)
+    groups = [own for _, _, own in runs_by_point(results)]
+    if max((len(own) for own in groups), default=0) >= ENOUGH_SEEDS:
+        table.insert(list(table.columns).index("failed") + 1, "failed (95 %)", [*map(failure_rate, groups)])
+    column = next((c for c in summary_columns(results) if c.name.endswith("_ate")), None)
+    if column is None:
+        return table
+    where = list(table.columns).index(column.full_header) + 1
+    worst = [worst_run(own, column.name) for own in groups]
+    if len(results.trials) > len(groups):
+        texts = [
+            number_text(value) + (f" (seed {seed})" if seed else "") if value == value else ""
+            for value, seed in worst
+        ]
+        table.insert(where, "  worst run", texts)
+    intervals = [interval_text(row[column.full_header]) for row in summary_intervals(results)]
+    table.insert(where, "  95 % of median", intervals)
+    return table
 
 
 def summary_columns(results: Results) -> list[SummaryColumn]:
@@ -99,8 +139,10 @@ def summary_columns(results: Results) -> list[SummaryColumn]:
 def paired_table(results: Results) -> pd.DataFrame:
     """ATE of each back end over that of the first one on the same stream, trial by trial.
 
-    One row per grid point, trajectory and back end: pairs, median ratio, pairs in which it was better, and
-    the two-sided sign test's p value where there are enough pairs. The reference itself is left out.
+    One row per grid point, trajectory and back end: pairs, median ratio and median difference with their
+    intervals, pairs in which it was better, and the two-sided p values of the sign test and of Wilcoxon's
+    signed-rank test (on the logarithm of the ratio) where there are enough pairs. The reference itself is
+    left out.
     """
     rows: list[dict[str, Any]] = []
     swept = swept_columns(results.trials)
@@ -114,7 +156,9 @@ def paired_table(results: Results) -> pd.DataFrame:
                 if pairs.empty:
                     continue
                 ratio = pairs[label] / pairs[compared[0]]
+                difference = paired_interval(pairs[label], pairs[compared[0]])
                 better = int((ratio < 1).sum())
+                enough = len(pairs) >= ENOUGH_SEEDS
                 rows.append(
                     {
                         **{path: point[path] for path in swept},
@@ -123,8 +167,12 @@ def paired_table(results: Results) -> pd.DataFrame:
                         "compared with": compared[0],
                         "pairs": len(pairs),
                         "median ATE ratio": float(ratio.median()),
+                        "95 % of the ratio": interval_text(median_interval(ratio)),
+                        "median difference [m]": difference.estimate,
+                        "95 % of the difference": interval_text(difference),
                         "better in": better,
-                        "sign test p": _sign_test(better, int((ratio > 1).sum())),
+                        "sign test p": sign_test(ratio - 1) if enough else math.nan,
+                        "signed-rank p": signed_rank_test(np.log(ratio)) if enough else math.nan,
                     }
                 )
     return pd.DataFrame(rows)
@@ -137,11 +185,3 @@ def _errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     used = rows[(rows["status"] == "ok") & (rows[column] > 0)]
     itself = (used["reference"] == used["label"] + " (final)") & column.startswith("final")
     return used[~itself].pivot(index="trial", columns="label", values=column)
-
-
-def _sign_test(better: int, worse: int) -> float:
-    """Two-sided p value under a fair coin; NaN below the number of pairs where it can say anything."""
-    pairs = better + worse
-    if pairs < ENOUGH_SEEDS:
-        return float("nan")
-    return min(1.0, 2.0 * float(bdtr(min(better, worse), pairs, 0.5)))

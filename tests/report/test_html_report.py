@@ -14,8 +14,9 @@ from scipy.stats import binomtest
 
 from slamcmp.report import summary_table, write_report
 from slamcmp.report.cautions import cautions, distance_in_sigmas
+from slamcmp.report.certainty import certainty_table, last_frame_nees, worst_run
 from slamcmp.report.html import number_text, report_html
-from slamcmp.report.summary import paired_table
+from slamcmp.report.summary import paired_table, terminal_table
 
 
 class Page(HTMLParser):
@@ -107,6 +108,136 @@ def test_cautions_name_failed_runs_and_a_healthy_nis_on_a_wrong_trajectory(swept
     assert "Too few runs for statistics: one run per back end and grid point" in found
 
 
+def with_nis(results, nis, error_scale=1.0, nees=3.0):
+    """All runs of the EKF with this NIS/dof, its positions and landmarks moved away by ``error_scale`` σ."""
+    trials = results.trials.assign(nis_per_dof=nis)
+    frames = results.frames.assign(online_x=results.frames["true_x"] + 0.2 * error_scale)
+    frames = frames.assign(online_y=frames["true_y"], online_P_xx=0.04, online_P_xy=0.0, online_P_yy=0.04)
+    return dataclasses.replace(results, trials=trials, frames=frames.assign(online_nees=nees))
+
+
+def healthy_caution(results):
+    found = {caution.title: caution.text for caution in cautions(results)}
+    return found.get("A healthy NIS hides a wrong trajectory", "")
+
+
+def test_caution_needs_a_healthy_nis_and_a_distance(swept):
+    finished = dataclasses.replace(
+        swept, landmarks=swept.landmarks.iloc[:0], trials=swept.trials[swept.trials["label"] != "batch"]
+    )
+    assert healthy_caution(with_nis(finished, 1.0, 2.9)) == ""
+    text = healthy_caution(with_nis(finished, 1.0, 3.5))
+    assert (
+        "isam2 at source.range_sigma_m = 0.5: NIS/dof 1.00, yet the online position is typically 3.5" in text
+    )
+    assert "(6 of 6 runs)" in text
+    assert healthy_caution(with_nis(finished, 1.3, 3.5)) == ""
+    assert healthy_caution(with_nis(finished, 0.7, 3.5)) == ""
+
+
+def test_one_far_run_of_six_is_chance(swept):
+    results = with_nis(dataclasses.replace(swept, landmarks=swept.landmarks.iloc[:0]), 1.0)
+    frames = results.frames.copy()
+    trials = sorted(results.trials[results.trials["source.range_sigma_m"] == 1.0]["trial"].unique())
+    for count, told in ((1, False), (2, True)):
+        far = frames["trial"].isin(trials[:count]) & (frames["label"] == "isam2")
+        moved = frames.assign(online_x=frames["online_x"].where(~far, frames["true_x"] + 2.0))
+        assert ("isam2" in healthy_caution(dataclasses.replace(results, frames=moved))) is told
+
+
+def test_caution_for_a_map_that_is_off_while_the_pose_is_not(swept):
+    results = with_nis(swept, 1.0)
+    landmarks = results.landmarks.assign(P_xx=0.01, P_xy=0.0, P_yy=0.01)
+    landmarks = landmarks.assign(x=landmarks["true_x"] + 0.4, y=landmarks["true_y"])
+    text = healthy_caution(dataclasses.replace(results, landmarks=landmarks))
+    assert "the last map's landmarks are typically 4.0 of its own standard deviations away" in text
+    assert "online position" not in text
+
+
+def test_caution_for_overconfidence_that_only_all_runs_show(swept):
+    near = with_nis(dataclasses.replace(swept, landmarks=swept.landmarks.iloc[:0]), 1.0, nees=6.9)
+    # Six runs: 18 degrees of freedom, 0.1 % above 42.3, that is 7.05 a run.
+    assert healthy_caution(near) == ""
+    text = healthy_caution(near := with_nis(near, 1.0, nees=7.2))
+    assert "the last pose's NEES averages 7.2 over 6 runs where a consistent back end stays below 7.1" in text
+    # Four finished runs are too few to say.
+    assert "ekf at source.range_sigma_m = 2" not in text
+
+
+def test_certainty_table_by_hand(swept):
+    table = certainty_table(swept)
+    row = table[
+        (table["back end"] == "ekf")
+        & (table["source.range_sigma_m"] == 2.0)
+        & (table["trajectory"] == "online")
+    ].iloc[0]
+    # Two of six failed: Wilson's interval is 9.7 to 70.0 %.
+    assert (row["runs"], row["failed (95 %)"]) == (6, "33 % (10 to 70 %)")
+    # Four finished runs give no interval of a median.
+    assert row["95 % of the median"] == ""
+    row = table[
+        (table["back end"] == "isam2")
+        & (table["source.range_sigma_m"] == 2.0)
+        & (table["trajectory"] == "final")
+    ].iloc[0]
+    own = swept.trials[(swept.trials["label"] == "isam2") & (swept.trials["source.range_sigma_m"] == 2.0)]
+    ate = own["final_ate"]
+    assert row["95 % of the median"] == f"{number_text(ate.min())} to {number_text(ate.max())}"
+    assert (row["worst ATE [m]"], row["its seed"]) == (ate.max(), str(own.loc[ate.idxmax(), "seed"]))
+    last = swept.frames[(swept.frames["label"] == "isam2") & swept.frames["trial"].isin(own["trial"])]
+    expected = last[last["k"] == last["k"].max()]["final_nees"].mean()
+    assert row["ANEES, last frame"] == pytest.approx(expected)
+    # 18 degrees of freedom: 8.231 and 31.526, over 6.
+    assert row["95 % band"] == "1.37 to 5.25"
+
+
+def test_worst_run_and_last_nees_leave_failed_runs_out(swept):
+    own = swept.trials[(swept.trials["label"] == "ekf") & (swept.trials["source.range_sigma_m"] == 2.0)]
+    value, seed = worst_run(own.assign(online_ate=[1.0, 5.0, 2.0, 3.0, 99.0, math.nan]), "online_ate")
+    assert (value, seed) == (5.0, "1")
+    assert last_frame_nees(swept, own).runs == 4
+    assert math.isnan(worst_run(own.iloc[4:], "online_ate")[0])
+
+
+def test_terminal_table_shows_interval_and_worst_run(swept, one_trial):
+    table = terminal_table(swept)
+    names = list(table.columns)
+    where = names.index("online ATE [m]")
+    assert names[where + 1 : where + 3] == ["  95 % of median", "  worst run"]
+    row = table[(table["back end"] == "isam2") & (table["source.range_sigma_m"] == 1.0)].iloc[0]
+    ate = swept.trials[
+        (swept.trials["label"] == "isam2") & (swept.trials["source.range_sigma_m"] == 1.0)
+    ].set_index("seed")["online_ate"]
+    assert row["  95 % of median"] == f"{number_text(ate.min())} to {number_text(ate.max())}"
+    assert row["  worst run"] == f"{number_text(ate.max())} (seed {ate.idxmax()})"
+    assert row["failed (95 %)"] == "0 % (0 to 39 %)"
+    assert "  worst run" not in terminal_table(one_trial).columns
+
+
+def test_page_shows_intervals_the_search_and_the_faults(swept):
+    trials = swept.trials.assign(
+        departure_test="", departure_frame=math.nan, departure_landmark=math.nan, diagnosis=""
+    )
+    trials.loc[0, ["departure_test", "departure_frame", "diagnosis"]] = ["NIS", 17.0, "It <i>slipped</i>."]
+    search = {
+        "metric": "online_ate", "half_width": 0.05, "relative": True, "confidence": 0.95, "max_seeds": 20,
+        "batch": 10, "statistic": "median", "reason": "every interval is narrow enough with 20 seeds",
+    }  # fmt: skip
+    manifest = {**swept.manifest, "until": search, "config": {"figures": ["time"]}}
+    text = report_html(dataclasses.replace(swept, trials=trials, manifest=manifest))
+    assert "within ±5 %, at most 20 seeds: every interval is narrow enough with 20 seeds." in text
+    page = Page(text)
+    faults = page.tables[3]
+    assert len(faults) == 1 + 3
+    # Failed runs first.
+    assert [row[4] for row in faults[1:]] == ["diverged", "crashed", "ok"]
+    assert faults[1][-1] == "Nothing that it computed was kept."
+    assert faults[3][-2:] == ["17", "It <i>slipped</i>."]
+    own = swept.trials[(swept.trials["label"] == "ekf") & (swept.trials["source.range_sigma_m"] == 0.5)]
+    low, high = number_text(own["online_ate"].min()), number_text(own["online_ate"].max())
+    assert f'<span class="note">{low} to {high}</span>' in text
+
+
 def test_cautions_name_unequal_streams(one_trial):
     trials = one_trial.trials.copy()
     trials.loc[0, "digest"] = "f" * 64
@@ -132,7 +263,7 @@ def test_page_holds_the_tables_numbers(swept, tmp_path):
     path = write_report(swept, tmp_path / "deep" / "report.html")
     page = Page(path.read_text(encoding="utf-8"))
     assert page.open == []
-    summary, paired, trials = page.tables
+    summary, certainty, paired, trials = page.tables
     assert summary[0] == ["what ran", "online (causal)", "final (hindsight)", "whole run"]
     expected = summary_table(swept)
     assert len(summary) == 2 + len(expected)
@@ -142,6 +273,7 @@ def test_page_holds_the_tables_numbers(swept, tmp_path):
         assert shown[online] == number_text(row["online ATE [m]"])
         final_text = "–" if math.isnan(row["final ATE [m]"]) else number_text(row["final ATE [m]"])
         assert shown[final] == final_text
+    assert len(certainty) == 1 + len(certainty_table(swept))
     assert len(paired) == 1 + len(paired_table(swept))
     assert len(trials) == 1 + len(swept.trials)
     crashed = next(row for row in trials if "crashed" in row)
