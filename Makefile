@@ -25,6 +25,8 @@ slow: install-test
 
 bench: install-test
 	$(BIN)/python benchmarks/ekf.py
+	$(BIN)/python benchmarks/postponed.py
+	$(BIN)/python benchmarks/monte_carlo.py
 	$(BIN)/python benchmarks/isam2.py
 	$(BIN)/python benchmarks/runner.py
 
