@@ -122,6 +122,29 @@ def retract(T: FloatArray, xi: FloatArray) -> FloatArray:
     return T @ exp(xi)
 
 
+def retract_in_world_axes(T: FloatArray, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """One pose moved by ``p += R v``, ``R = R exp(omega)``, and what that does to its error.
+
+    The second answer J (p, p) takes a body-tangent error at the old pose to the one at the new pose with the
+    same world components: with it a filter's error is additive in the world, whatever the pose's attitude.
+    """
+    if xi.shape == (3,):
+        x, y, theta = xi.tolist()
+        (cos, minus_sin, p_x), (sin, _, p_y), _ = T.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        new_cos, new_sin = cos * c - sin * s, sin * c + cos * s
+        moved = [
+            [new_cos, -new_sin, p_x + cos * x + minus_sin * y],
+            [new_sin, new_cos, p_y + sin * x + cos * y],
+            [0.0, 0.0, 1.0],
+        ]
+        return np.array(moved), np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = so3_exp(xi[:3])
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = turn.T
+    return pose(T[:3, :3] @ turn, T[:3, 3] + T[:3, :3] @ xi[3:]), J
+
+
 def local(T: FloatArray, other: FloatArray) -> FloatArray:
     """``log(inverse(T) other)``: the xi with ``retract(T, xi) == other``."""
     return log(inverse(T) @ other)

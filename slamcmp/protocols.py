@@ -43,6 +43,11 @@ class SensorModel(Protocol):
     def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
         """``(H_pose (..., d, p), H_landmark (..., d, n))``; the pose's in the body tangent."""
 
+    def linearise(
+        self, T_world_body: FloatArray, landmark: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """``predict`` and both ``jacobians`` in one go: filters need all three, every frame."""
+
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         """``z - z_predicted`` with angles wrapped to [-pi, pi], ``(..., d)``."""
 

@@ -4,9 +4,13 @@ The course's three steps, each one method: cost construction (``_construct``: th
 new landmarks joining the state), one Gauss–Newton step (``_correct``), state propagation (``_predict``:
 moving to the next pose *is* marginalising the previous one).
 
-The pose error is the body tangent, ``T = T_hat exp(xi)``; landmarks are in the world. All Jacobians of a
-frame are taken at the predicted mean, and all its observations enter in one stacked update, which makes
-this filter the same as a factor graph of window 1 with one Gauss–Newton iteration (tests/oracles).
+The pose's error is additive in the world (position and heading), as in the published filters, but stored in
+the body tangent, ``p = p_hat + R v``, ``R = R_hat exp(omega)``: after a correction it is turned into the new
+body axes (``J``). Without that turn, the error state ``body``, the covariance is read in axes that the
+correction has just moved; the filter then takes information it does not have about the whole map's position
+and heading. All Jacobians of a frame are taken at the predicted mean, and all its observations enter in one
+stacked update, which makes this filter the same as a factor graph of window 1 with one Gauss–Newton
+iteration (tests/oracles).
 
 ========  ===================================================================
 symbol    meaning (Thrun, Burgard, Fox 2005, ch. 10; Solà 2018 for the tangent)
@@ -14,6 +18,7 @@ symbol    meaning (Thrun, Burgard, Fox 2005, ch. 10; Solà 2018 for the tangent)
 x         mean: T_world_body (n+1, n+1) and landmarks (L, n)
 P         joint covariance, pose tangent first
 A         Ad(T_prev_body^-1): carries the pose error over an odometry increment
+J         turns the pose error into the axes of the corrected pose
 z, y      measurement and innovation, stacked (k d,)
 H, R, S   stacked Jacobian, measurement noise, innovation covariance
 W         P H^T L^-T with S = L L^T, so that K S K^T = W W^T
@@ -35,7 +40,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from slamcmp.backends.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.postponed_covariance import PostponedCovariance
 from slamcmp.errors import DivergedError
-from slamcmp.geometry import adjoint_of_inverse, exp
+from slamcmp.geometry import adjoint_of_inverse, exp, retract_in_world_axes
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem
 
@@ -52,6 +57,8 @@ class EkfSlam:
         new_landmarks: "join_first" puts new landmarks into the state before the update (the course's cost
             construction: linearised at the predicted pose); "update_first" corrects the pose with the
             known landmarks first and initialises the new ones from the corrected pose.
+        error_state: "world" is the standard EKF; "body" corrects by ``T exp(xi)`` and leaves the covariance
+            as it is, which is what relinearising a marginal prior in GTSAM does.
         active_landmarks: with a number, at most that many landmarks, those seen last, are updated at every
             frame and all others only when it is due (postponed_covariance.py): the same numbers, sooner on a
             map of hundreds of landmarks of which few are in sight.
@@ -65,11 +72,14 @@ class EkfSlam:
         problem: Problem,
         *,
         new_landmarks: Literal["join_first", "update_first"] = "join_first",
+        error_state: Literal["world", "body"] = "world",
         active_landmarks: Annotated[int, Ge(1)] | None = None,
     ) -> None:
         self._sensor = problem.sensor
         self._n = problem.sensor.space_dim
         self._join_first = new_landmarks == "join_first"
+        self._in_world_axes = error_state == "world"
+        self._no_noise = np.zeros_like(problem.P)
         self._T = np.array(problem.T_world_body)
         self._P: JointCovariance | PostponedCovariance = (
             JointCovariance(problem.P)
@@ -151,8 +161,8 @@ class EkfSlam:
         # First, for a postponed correction of their means is due now.
         touched = self._P.touch(numbers, self._landmarks)
         seen = self._landmarks[numbers]
-        H_pose, H_land = self._sensor.jacobians(self._T, seen)
-        y = self._sensor.residual(z, self._sensor.predict(self._T, seen)).ravel()
+        z_predicted, H_pose, H_land = self._sensor.linearise(self._T, seen)
+        y = self._sensor.residual(z, z_predicted).ravel()
         p = H_pose.shape[2]
         # H without its zero columns: pose first, then the landmarks seen, block by block.
         H = np.concatenate([H_pose.reshape(y.size, p), block_diagonal(H_land)], axis=1)
@@ -170,6 +180,10 @@ class EkfSlam:
             )
         dx = e @ W_t
         self._P.downdate(W_t)
-        self._T = self._T @ exp(dx[:p])
+        if self._in_world_axes:
+            self._T, J = retract_in_world_axes(self._T, dx[:p])
+            self._P.propagate(J, self._no_noise)
+        else:
+            self._T = self._T @ exp(dx[:p])
         self._P.shift(self._landmarks, dx)
         self._nis, self._nis_dof = nis, y.size

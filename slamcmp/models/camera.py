@@ -112,10 +112,16 @@ class Camera(ABC):
         return self._measure(self.camera_point(T_world_body, landmark))
 
     def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self.linearise(T_world_body, landmark)[1:]
+
+    def linearise(
+        self, T_world_body: FloatArray, landmark: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         q_body = body_point(T_world_body, landmark)
-        D = self._derivative(transform(self.T_camera_body, q_body)) @ self.T_camera_body[:3, :3]
+        q = transform(self.T_camera_body, q_body)
+        D = self._derivative(q) @ self.T_camera_body[:3, :3]
         body_by_pose, body_by_landmark = body_point_jacobians(T_world_body, q_body)
-        return D @ body_by_pose, D @ body_by_landmark
+        return self._measure(q), D @ body_by_pose, D @ body_by_landmark
 
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         return z - z_predicted

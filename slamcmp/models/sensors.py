@@ -81,6 +81,12 @@ class RelativePosition:
     def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
         return body_point_jacobians(T_world_body, body_point(T_world_body, landmark))
 
+    def linearise(
+        self, T_world_body: FloatArray, landmark: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        q = body_point(T_world_body, landmark)
+        return q, *body_point_jacobians(T_world_body, q)
+
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         return z - z_predicted
 
@@ -114,10 +120,17 @@ class RangeBearing:
         return transform(T_world_body, q)
 
     def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self.linearise(T_world_body, landmark)[1:]
+
+    def linearise(
+        self, T_world_body: FloatArray, landmark: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         q = body_point(T_world_body, landmark)
         x, y = q[..., 0], q[..., 1]
         r2 = x * x + y * y
         r = np.sqrt(r2)
+        z = np.empty_like(q)
+        z[..., 0], z[..., 1] = r, np.arctan2(y, x)
         D = np.empty((*q.shape[:-1], 2, 2))
         D[..., 0, :] = q / r[..., None]
         D[..., 1, 0], D[..., 1, 1] = -y / r2, x / r2
@@ -127,8 +140,8 @@ class RangeBearing:
         H_pose[..., 1, 2] = -1.0
         R_t = np.swapaxes(T_world_body[..., :-1, :-1], -1, -2)
         if R_t.ndim == 2:
-            return H_pose, (D.reshape(-1, 2) @ R_t).reshape(D.shape)
-        return H_pose, D @ R_t
+            return z, H_pose, (D.reshape(-1, 2) @ R_t).reshape(D.shape)
+        return z, H_pose, D @ R_t
 
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         y = z - z_predicted
