@@ -13,12 +13,14 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Iterator, MutableSequence
 from dataclasses import dataclass
 from multiprocessing import connection
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol
 
+from slamcmp.errors import SlamcmpError
 from slamcmp.registry import executors
 
 if TYPE_CHECKING:
@@ -110,11 +112,19 @@ class Serial:
         self._ended: list[Ended] = []
 
     def start(self, task: Task) -> None:
+        from slamcmp.experiment.run_back_end import describe
         from slamcmp.experiment.worker import perform
 
         heartbeat = [0.0, 0.0]
-        perform(task, heartbeat)
-        self._ended.append(Ended(task, frames_done=int(heartbeat[1])))
+        fault = ""
+        try:
+            perform(task, heartbeat)
+        except (SlamcmpError, OSError):
+            raise
+        except Exception as error:
+            traceback.print_exc()
+            fault = describe(error)
+        self._ended.append(Ended(task, fault, frames_done=int(heartbeat[1])))
 
     def wait(self, timeout_s: float) -> list[Ended]:
         del timeout_s
@@ -203,6 +213,10 @@ def _work(task: Task, heartbeat: MutableSequence[float]) -> None:
         except (StorageError, OSError) as error:
             print(error, file=sys.stderr)
             code = STORAGE_FAILED
+        except Exception:
+            # Here, while standard error still leads to the log.
+            traceback.print_exc()
+            code = 1
     if code:
         sys.exit(code)
 

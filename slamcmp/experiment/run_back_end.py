@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import traceback
 from collections.abc import Callable, Mapping, MutableSequence
@@ -65,6 +66,10 @@ def run_back_end(
         status, message = "diverged", f"{collected.where()}: {error}"
     except (Exception, SystemExit) as error:
         status, message = "crashed", f"{collected.where()}: {describe(error)}"
+        # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
+        # or on a full disk there may be no log to write.
+        with contextlib.suppress(Exception):
+            traceback.print_exc()
     # The root of a late exception is often an earlier result that was not a number.
     bad = collected.first_bad()
     if bad is not None:
@@ -208,11 +213,11 @@ def _ask_at_end(back_end: BackEnd, stream: MeasurementStream, hindsight: dict[st
         before = time.perf_counter()
         final = back_end.trajectory()
         hindsight["final_s"] = time.perf_counter() - before
-        if final.t.size != len(stream.frames):
-            raise ValueError(f"trajectory() has {final.t.size} poses for {len(stream.frames)} frames")
+        _require_trajectory(final, stream)
         hindsight["final"] = final
     if isinstance(back_end, Mapper):
         landmarks = back_end.landmarks()
+        _require_map(landmarks, stream)
         hindsight["landmarks"] = landmarks
         if isinstance(back_end, JointEstimator) and p + landmarks.positions.size <= JOINT_DIM_MAX:
             joint = np.asarray(back_end.joint_covariance())
@@ -222,6 +227,35 @@ def _ask_at_end(back_end: BackEnd, stream: MeasurementStream, hindsight: dict[st
             hindsight["joint_covariance"] = joint
     if isinstance(back_end, Diagnosed):
         hindsight["final_diagnostics"] = {name: float(v) for name, v in back_end.diagnostics().items()}
+
+
+def _require_trajectory(final: object, stream: MeasurementStream) -> None:
+    """Check what metrics and tables take for granted."""
+    if not isinstance(final, Trajectory):
+        raise TypeError(f"trajectory() gave {type(final).__name__} where a Trajectory is needed")
+    if final.t.size != len(stream.frames):
+        raise ValueError(f"trajectory() has {final.t.size} poses for {len(stream.frames)} frames")
+    size = stream.problem.sensor.space_dim + 1
+    if final.T_world_body.shape[1:] != (size, size):
+        have = final.T_world_body.shape[1:]
+        raise ValueError(f"trajectory() has poses of shape {have} where ({size}, {size}) is needed")
+    stamps = np.array([frame.t for frame in stream.frames])
+    wrong = np.flatnonzero(~(np.abs(final.t - stamps) <= 1e-9))
+    if wrong.size:
+        k = wrong[0]
+        raise ValueError(f"trajectory() has t[{k}] = {final.t[k]} s where frame {k} is at {stamps[k]} s")
+
+
+def _require_map(landmarks: object, stream: MeasurementStream) -> None:
+    if not isinstance(landmarks, Landmarks):
+        raise TypeError(f"landmarks() gave {type(landmarks).__name__} where Landmarks are needed")
+    n = stream.problem.sensor.space_dim
+    if landmarks.positions.shape[1] != n:
+        raise ValueError(
+            f"landmarks() has positions of shape {landmarks.positions.shape} where (any, {n}) is needed"
+        )
+    if np.unique(landmarks.ids).size != landmarks.ids.size:
+        raise ValueError("landmarks() names an id twice")
 
 
 def _final_fault(hindsight: Mapping[str, Any]) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+import traceback
 from collections.abc import Mapping, MutableSequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import score_run
 from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends, front_ends, sources
-from slamcmp.types import GroundTruth, Log, MeasurementStream, Problem
+from slamcmp.types import GroundTruth, Log, MeasurementStream, Problem, Run, Status
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,24 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
         heartbeat=heartbeat,
     )
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
-    save_run(StoredRun(run, score_run(run, _truth(task)), run.completion), task.result)
+    save_run(scored(run, _truth(task)), task.result)
+
+
+def scored(run: Run, truth: GroundTruth | None) -> StoredRun:
+    """The run with its scores; where they cannot be computed, a crashed one that keeps its online part."""
+    try:
+        return StoredRun(run, score_run(run, truth), run.completion)
+    except Exception as error:
+        traceback.print_exc()
+        told = f"{run.message}; " if run.message else ""
+        status: Status = "crashed" if run.status == "ok" else run.status
+        message = f"{told}it could not be scored: {describe(error)}"
+    online = replace(run, status=status, message=message, final=None, landmarks=None, joint_covariance=None)
+    scores: dict[str, float] = {}
+    # Most faults lie in what was just left out.
+    with contextlib.suppress(Exception):
+        scores = score_run(online, truth)
+    return StoredRun(online, scores, run.completion)
 
 
 def _make_back_end(plugin: Plugin, problem: Problem, bound: Mapping[str, Any], task: Task) -> BackEnd:

@@ -11,7 +11,7 @@ import numpy as np
 from slamcmp.errors import DivergedError, MissingDataError
 from slamcmp.geometry import adjoint_of_inverse, se2
 from slamcmp.models.sensors import make_sensor
-from slamcmp.types import Detections, Estimate, GroundTruth, Log, Problem, Trajectory
+from slamcmp.types import Detections, Estimate, GroundTruth, Landmarks, Log, Problem, Trajectory
 
 
 def straight(seed: int, *, steps: int = 40, sigma_m: float = 0.01, truth: bool = True) -> Log:
@@ -79,6 +79,26 @@ class Hindsight(DeadReckoning):
     def trajectory(self) -> Trajectory:
         poses = np.stack(self.poses)
         return Trajectory(np.arange(len(poses), dtype=float), poses)
+
+
+class OtherStamps(Hindsight):
+    def trajectory(self) -> Trajectory:
+        return Trajectory(0.1 * np.arange(len(self.poses)), np.stack(self.poses))
+
+
+class SpatialPoses(Hindsight):
+    def trajectory(self) -> Trajectory:
+        return Trajectory(np.arange(40.0), np.stack([np.eye(4)] * 40))
+
+
+class SpatialMap(Hindsight):
+    def landmarks(self) -> Landmarks:
+        return Landmarks([1], [[1.0, 2.0, 3.0]], [np.eye(3)])
+
+
+class NoMap(Hindsight):
+    def landmarks(self) -> dict:
+        return {}
 
 
 class Raises(DeadReckoning):
