@@ -50,6 +50,8 @@ class Ended:
     timed_out: bool = False
     storage_failed: bool = False
     frames_done: int = 0
+    note: str = ""
+    """What happened after the result file was written."""
 
 
 class Executor(Protocol):
@@ -115,7 +117,7 @@ class Serial:
         from slamcmp.experiment.run_back_end import describe
         from slamcmp.experiment.worker import perform
 
-        heartbeat = [0.0, 0.0]
+        heartbeat = [0.0, 0.0, 0.0]
         fault = ""
         try:
             perform(task, heartbeat)
@@ -155,7 +157,7 @@ class _Worker:
         warm_up()
         context = multiprocessing.get_context("forkserver")
         self.task = task
-        self.heartbeat: Any = context.RawArray("d", 2)
+        self.heartbeat: Any = context.RawArray("d", 3)
         self.process = context.Process(target=_work, args=(task, self.heartbeat), daemon=True)
         self.over = False
         with _no_main_module():
@@ -163,25 +165,33 @@ class _Worker:
 
     def look(self) -> Ended | None:
         """How the job ended, or None while it runs; ends it where its time is over."""
-        started = self.heartbeat[0]
+        started, _, frames_done_at = self.heartbeat
         limit = self.task.time_limit_s + GRACE_S
-        timed_out = False
+        late = ""
         if self.process.exitcode is None:
-            if not started or time.monotonic() < started + limit:
+            # The answers after the last frame, their scores and files have a budget of their own.
+            since = frames_done_at or started
+            if not started or time.monotonic() < since + limit:
                 return None
             self.process.kill()
             self.process.join()
-            timed_out = True
+            late = (
+                f"what it is asked after the last frame, and its scores, took longer than {limit:g} s"
+                if frames_done_at
+                else f"ended {limit:g} s after its start: it was stuck"
+            )
         self.over = True
         code, frames = self.process.exitcode, int(self.heartbeat[1])
         self.process.close()
-        if timed_out and not self.task.result.is_file():
-            return Ended(self.task, f"ended {limit:g} s after its start: it was stuck", True, False, frames)
-        if code == 0 and self.task.result.is_file():
-            return Ended(self.task, frames_done=frames)
+        if self.task.result.is_file():
+            # The file is put in place as a whole and as the last thing: how the process ended then is a note.
+            note = f"afterwards {_death(code)}" if code and not late else ""
+            return Ended(self.task, frames_done=frames, note=note)
+        if late:
+            return Ended(self.task, late, timed_out=True, frames_done=frames)
         if code == STORAGE_FAILED:
             return Ended(self.task, "its result could not be written", storage_failed=True)
-        return Ended(self.task, _death(code), frames_done=frames)
+        return Ended(self.task, f"{_death(code)} and left no result", frames_done=frames)
 
 
 def _death(code: int | None) -> str:
@@ -190,7 +200,7 @@ def _death(code: int | None) -> str:
             name = signal.Signals(-code).name
             hint = " (the system may have been out of memory)" if name == "SIGKILL" else ""
             return f"the worker process was killed by {name}{hint}"
-    return f"the worker process ended with exit code {code} and no result"
+    return f"the worker process ended with exit code {code}"
 
 
 def _work(task: Task, heartbeat: MutableSequence[float]) -> None:

@@ -41,56 +41,75 @@ def run_back_end(
     seed: int | None = None,
     time_limit_s: float = float("inf"),
     heartbeat: MutableSequence[float] | None = None,
+    on_frames_done: Callable[[Run], None] | None = None,
 ) -> Run:
     """Feed every frame to a new back end and keep all it says.
 
     Never raises for what the back end does: a failure is the run's status and message, and the frames
     before it are kept. ``make`` gets the problem and nothing else; the back end never sees truth.
-    ``heartbeat[0]`` is set to the monotonic time [s] of the start, ``heartbeat[1]`` to the frames done.
+    ``heartbeat[0]`` is set to the monotonic time [s] of the start, ``heartbeat[1]`` to the frames done,
+    ``heartbeat[2]`` to the time when all of them were. ``on_frames_done`` then gets the online part, before
+    the back end is asked for anything more.
     """
     collected = _Collected(stream)
-    beat = [0.0, 0.0] if heartbeat is None else heartbeat
+    beat = [0.0, 0.0, 0.0] if heartbeat is None else heartbeat
     memory = PeakMemory()
     beat[0] = time.monotonic()
-    hindsight: dict[str, Any] = {}
-    status: Status = "ok"
-    message = ""
-    try:
+    back_end: BackEnd | None = None
+
+    def feed() -> str:
+        nonlocal back_end
         back_end = make(stream.problem)
-        message = _feed(back_end, stream, collected, time.perf_counter() + time_limit_s, beat)
-        if message:
-            status = "timed_out"
-        else:
-            _ask_at_end(back_end, stream, hindsight)
-    except DivergedError as error:
-        status, message = "diverged", f"{collected.where()}: {error}"
-    except (Exception, SystemExit) as error:
-        status, message = "crashed", f"{collected.where()}: {describe(error)}"
-        # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
-        # or on a full disk there may be no log to write.
-        with contextlib.suppress(Exception):
-            traceback.print_exc()
+        return _feed(back_end, stream, collected, time.perf_counter() + time_limit_s, beat)
+
+    def run(hindsight: Mapping[str, Any]) -> Run:
+        return Run(
+            back_end=label,
+            parameters=parameters,
+            digest=stream.digest,
+            seed=seed,
+            frames=len(stream.frames),
+            status=status,
+            message=message,
+            **collected.fields(),
+            **hindsight,
+            peak_memory_mb=memory.growth_mb(),
+        )
+
+    hindsight: dict[str, Any] = {}
+    status, message = _guarded(feed, collected)
+    if status == "ok" and message:
+        status = "timed_out"
     # The root of a late exception is often an earlier result that was not a number.
     bad = collected.first_bad()
     if bad is not None:
         status, message = "diverged", bad
-    elif status == "ok":
-        fault = _final_fault(hindsight)
+    if status == "ok" and back_end is not None:
+        beat[2] = time.monotonic()
+        if on_frames_done is not None:
+            on_frames_done(run({}))
+        finished = back_end
+        status, message = _guarded(lambda: _ask_at_end(finished, stream, hindsight), collected)
+        fault = _final_fault(hindsight) if status == "ok" else ""
         if fault:
             status, message = "diverged", fault
             hindsight = {"final_s": hindsight.get("final_s", 0.0)}
-    return Run(
-        back_end=label,
-        parameters=parameters,
-        digest=stream.digest,
-        seed=seed,
-        frames=len(stream.frames),
-        status=status,
-        message=message,
-        **collected.fields(),
-        **hindsight,
-        peak_memory_mb=memory.growth_mb(),
-    )
+    return run(hindsight)
+
+
+def _guarded(action: Callable[[], str | None], collected: _Collected) -> tuple[Status, str]:
+    """``ok`` with what the action says, or the status and message of what it raised."""
+    try:
+        return "ok", action() or ""
+    except DivergedError as error:
+        return "diverged", f"{collected.where()}: {error}"
+    except (Exception, SystemExit) as error:
+        message = f"{collected.where()}: {describe(error)}"
+        # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
+        # or on a full disk there may be no log to write.
+        with contextlib.suppress(Exception):
+            traceback.print_exc()
+        return "crashed", message
 
 
 def _feed(

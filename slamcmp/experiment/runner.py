@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +23,15 @@ from slamcmp.experiment.interruption import interruptions
 from slamcmp.experiment.manifest import describe_origin, now
 from slamcmp.experiment.memory import machine_memory_mb
 from slamcmp.experiment.progress import Watcher, watching
-from slamcmp.experiment.run_file import StoredRun, load_truth, run_status, save_run
+from slamcmp.experiment.run_file import StoredRun, load_run, load_truth, run_status, save_run
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.experiment.store import Results, locked, save_results
 from slamcmp.experiment.tables import gather
 from slamcmp.experiment.trials import RunJob, StreamJob, Trial, make_trials
-from slamcmp.experiment.worker import Task, run_path, stream_path, truth_path
+from slamcmp.experiment.worker import Task, run_path, scored, stream_path, truth_path
 from slamcmp.metrics import score_run
 from slamcmp.registry import executors
-from slamcmp.types import Run, Trajectory
+from slamcmp.types import Run, Status, Trajectory
 
 LOOK_EVERY_S = 0.1
 MEMORY_SHARE = 0.9
@@ -313,6 +313,7 @@ class _Schedule:
             )
         try:
             task.result.unlink(missing_ok=True)
+            task.online_part.unlink(missing_ok=True)
         except OSError as error:
             raise storage_error(task.result, error) from error
         self._watcher.started(task.key, self._names[task.key], frames)
@@ -327,6 +328,8 @@ class _Schedule:
         else:
             if ended.fault:
                 self._store_failure(ended)
+            elif ended.note:
+                _add_note(task, ended.note)
             outcome = run_status(task.result) or "lost"
         self.done += 1
         self._watcher.ended(task.key, outcome, ended.frames_done)
@@ -370,14 +373,23 @@ class _Schedule:
         digest, frames = self._frames[task.stream_key]
         nothing = np.empty(0)
         place = f"after {ended.frames_done} of {frames} frames"
+        status: Status = "timed_out" if ended.timed_out else "crashed"
+        message = f"{place}: {ended.fault}{self._last_words(task)}"
+        online_part = load_run(task.online_part)
+        if online_part is not None:
+            run = replace(online_part.run, status=status, message=message)
+            known = load_truth(truth_path(self._folder, task.stream_key))
+            save_run(scored(run, None if known is None else known.truth), task.result)
+            task.online_part.unlink(missing_ok=True)
+            return
         run = Run(
             back_end=task.label,
             parameters=task.plugins[0][1],
             digest=digest,
             seed=task.seed,
             frames=frames,
-            status="timed_out" if ended.timed_out else "crashed",
-            message=f"{place}: {ended.fault}{self._last_words(task)}",
+            status=status,
+            message=message,
             online=Trajectory(nothing, np.empty((0, *self._pose_shape(task))), None),
             update_s=nothing,
             estimate_s=nothing,
@@ -393,6 +405,14 @@ class _Schedule:
     def _last_words(self, task: Task) -> str:
         log = self._folder / "logs" / f"{task.key}.log"
         return f"; its output is in {log}" if log.is_file() and log.stat().st_size else ""
+
+
+def _add_note(task: Task, note: str) -> None:
+    """Put what happened after the result was written into its message."""
+    stored = None if task.kind == "stream" else load_run(task.result)
+    if stored is not None:
+        message = f"{stored.run.message}; {note}" if stored.run.message else note
+        save_run(replace(stored, run=replace(stored.run, message=message)), task.result)
 
 
 def _front_end_totals(trials: Sequence[Trial], folder: Path) -> dict[str, int]:

@@ -46,6 +46,11 @@ class Task:
         """The file that this job leaves."""
         return (truth_path if self.kind == "stream" else run_path)(self.folder, self.key)
 
+    @property
+    def online_part(self) -> Path:
+        """What a run leaves when its frames are done, for the case that it does not come to its end."""
+        return self.result.with_name(f".{self.key}.online.npz")
+
 
 def run_path(folder: Path, key: str) -> Path:
     """Where the run of that key lies."""
@@ -120,9 +125,11 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
         seed=task.seed,
         time_limit_s=task.time_limit_s,
         heartbeat=heartbeat,
+        on_frames_done=lambda online: save_run(StoredRun(online, {}, 1.0), task.online_part),
     )
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
     save_run(scored(run, _truth(task)), task.result)
+    task.online_part.unlink(missing_ok=True)
 
 
 def scored(run: Run, truth: GroundTruth | None) -> StoredRun:

@@ -74,6 +74,35 @@ def test_fault_outside_the_back_end_leaves_a_traceback_in_the_log(
         write_experiment(back_ends=[{"name": "DeadReckoning", "at": 3}]), folder=folder, jobs=1
     )
     message = by_label(results).loc["DeadReckoning", "message"]
-    assert "the worker process ended with exit code 1 and no result; its output is in" in message
+    assert "the worker process ended with exit code 1 and left no result; its output is in" in message
     (log,) = (folder / "logs").iterdir()
     assert "DataError" in log.read_text()
+
+
+def test_end_phase_has_its_own_budget_and_keeps_the_online_part(
+    write_experiment: Write, tmp_path: Path
+) -> None:
+    names = ["DeadReckoning", "SlowFramesAndMap", "EndlessMap", "MapSegfaults"]
+    path = write_experiment(back_ends=names, time_limit_s=1.5)
+    results = run_experiment(path, folder=tmp_path / "r", jobs=4)
+    rows = by_label(results)
+    assert list(rows["status"]) == ["ok", "ok", "timed_out", "crashed"]
+    assert rows.loc["EndlessMap", "message"] == (
+        "after 40 of 40 frames: what it is asked after the last frame, and its scores, took longer than 3.5 s"
+    )
+    assert rows.loc["MapSegfaults", "message"].startswith(
+        "after 40 of 40 frames: the worker process was killed by SIGSEGV and left no result"
+    )
+    assert set(rows["completion"]) == {1.0}
+    assert rows["online_ate"].nunique() == 1
+    assert (results.frames["label"].value_counts() == 40).all()
+    assert not [each.name for each in (tmp_path / "r" / "runs").iterdir() if each.name.startswith(".")]
+
+
+def test_complete_result_outlives_the_death_of_its_process(write_experiment: Write, tmp_path: Path) -> None:
+    path = write_experiment(back_ends=["DeadReckoning", "DiesInTheEnd"])
+    results = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    rows = by_label(results)
+    assert list(rows["status"]) == ["ok", "ok"]
+    assert rows.loc["DiesInTheEnd", "message"] == "afterwards the worker process was killed by SIGSEGV"
+    assert rows.loc["DiesInTheEnd", "online_ate"] == rows.loc["DeadReckoning", "online_ate"]

@@ -101,6 +101,38 @@ class NoMap(Hindsight):
         return {}
 
 
+class SlowFramesAndMap(DeadReckoning):
+    """Frames and map each stay below the hard limit, both together do not."""
+
+    def misbehave(self) -> None:
+        time.sleep(1.4)
+
+    def landmarks(self) -> Landmarks:
+        time.sleep(2.5)
+        return Landmarks(np.empty(0, dtype=int), np.empty((0, 2)), np.empty((0, 2, 2)))
+
+
+class EndlessMap(DeadReckoning):
+    def landmarks(self) -> Landmarks:
+        while True:
+            pass
+
+
+class MapSegfaults(DeadReckoning):
+    def landmarks(self) -> Landmarks:
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+
+class DiesInTheEnd(DeadReckoning):
+    """Its process ends by a signal when the interpreter is torn down, with everything written."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        import multiprocessing.util
+
+        multiprocessing.util.Finalize(None, os.kill, (os.getpid(), signal.SIGSEGV), exitpriority=0)
+
+
 class Raises(DeadReckoning):
     def misbehave(self) -> None:
         raise ValueError("no such landmark")
