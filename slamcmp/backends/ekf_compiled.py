@@ -32,7 +32,7 @@ class CompiledEkf:
 
     Args:
         problem: prior and sensor (planar; range_bearing or relative_position).
-        new_landmarks: as in ``ekf_slam``.
+        new_landmarks, error_state: as in ``ekf_slam``.
 
     Raises:
         UsageError: numba is not installed, or the sensor is another one.
@@ -40,7 +40,11 @@ class CompiledEkf:
     """
 
     def __init__(
-        self, problem: Problem, *, new_landmarks: Literal["join_first", "update_first"] = "join_first"
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: Literal["join_first", "update_first"] = "join_first",
+        error_state: Literal["world", "body"] = "world",
     ) -> None:
         sensor = problem.sensor
         if sensor.name not in _SENSORS or sensor.space_dim != 2:
@@ -56,7 +60,11 @@ class CompiledEkf:
                 "gives the same numbers"
             ) from error
         self._kernel = ekf_kernel
-        self._settings = sensor.name == "range_bearing", new_landmarks == "join_first"
+        self._settings = (
+            sensor.name == "range_bearing",
+            error_state == "world",
+            new_landmarks == "join_first",
+        )
         self._T = np.array(problem.T_world_body)
         self._P = np.array(problem.P)
         self._landmarks = np.empty((0, 2))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamcmp import geometry
 from slamcmp.backends import compiled
 from slamcmp.backends.ekf_compiled import CompiledEkf
 from slamcmp.backends.ekf_slam import EkfSlam
@@ -23,19 +24,21 @@ def numba() -> Any:
     return pytest.importorskip("numba", reason="needs numba: pip install 'slamcmp[fast]'")
 
 
-def with_gaps(stream: MeasurementStream) -> MeasurementStream:
-    """Some frames see nothing, and the covariances of measurements are full and differ."""
+def without_pattern(stream: MeasurementStream) -> MeasurementStream:
+    """Some frames see nothing, the robot slides sideways, and all covariances are full and differ."""
     rng = np.random.default_rng(11)
     frames = []
     for frame in stream.frames:
         seen = frame.ids.size if frame.k % 5 else 0
+        slide = geometry.se2(0.0, rng.normal(scale=0.01), 0.0) if frame.k else np.eye(3)
+        mix = np.eye(3) + 0.3 * rng.normal(size=(3, 3))
         A = 0.3 * rng.normal(size=(seen, 2, 2)) * np.sqrt(frame.R[:seen])
         frames.append(
             Frame(
                 frame.k,
                 frame.t,
-                frame.T_prev_body,
-                frame.Q,
+                frame.T_prev_body @ slide,
+                mix @ frame.Q @ mix.T,
                 frame.ids[:seen],
                 frame.z[:seen],
                 frame.R[:seen] + A @ np.swapaxes(A, 1, 2),
@@ -44,13 +47,14 @@ def with_gaps(stream: MeasurementStream) -> MeasurementStream:
     return MeasurementStream(stream.problem, tuple(frames))
 
 
+@pytest.mark.parametrize("error_state", ["world", "body"])
 @pytest.mark.parametrize("new_landmarks", ["join_first", "update_first"])
 @pytest.mark.parametrize("sensor_name", ["range_bearing", "relative_position"])
-def test_equals_the_plain_filter(numba: Any, sensor_name: str, new_landmarks: Any) -> None:
+def test_equals_the_plain_filter(numba: Any, sensor_name: str, new_landmarks: Any, error_state: Any) -> None:
     made, _, _ = toy_stream(frames=1000, landmarks=40, sensor_name=sensor_name, seen_at_once=4, seed=6)
-    stream = with_gaps(made)
-    plain = EkfSlam(stream.problem, new_landmarks=new_landmarks)
-    compiled_ekf = CompiledEkf(stream.problem, new_landmarks=new_landmarks)
+    stream = without_pattern(made)
+    plain = EkfSlam(stream.problem, new_landmarks=new_landmarks, error_state=error_state)
+    compiled_ekf = CompiledEkf(stream.problem, new_landmarks=new_landmarks, error_state=error_state)
     for frame in stream.frames:
         plain.update(frame)
         compiled_ekf.update(frame)
@@ -74,7 +78,7 @@ def assert_same_map(one: CompiledEkf, other: EkfSlam) -> None:
 @pytest.mark.parametrize("sensor_name", ["range_bearing", "relative_position"])
 def test_a_whole_stream_at_once_is_the_same_to_the_bit(numba: Any, sensor_name: str) -> None:
     made, _, _ = toy_stream(frames=200, landmarks=30, sensor_name=sensor_name, seen_at_once=4, seed=7)
-    stream = with_gaps(made)
+    stream = without_pattern(made)
     stepped, whole = CompiledEkf(stream.problem), CompiledEkf(stream.problem)
     online = whole.run(stream.frames[:120])
     # A run may also go on from what is known.

@@ -8,7 +8,7 @@ symbol    meaning (those of ekf_slam.py)
 ========  =====================================================================
 T         mean of the pose, T_world_body (3, 3), changed in place
 P         buffer of the joint covariance, of which the first n rows and columns count
-A         Ad(T_prev_body^-1)
+A         Ad(T_prev_body^-1), and after a correction the turn J into the new body axes
 z, y      measurement and innovation
 H, R, S   Jacobian without its zero columns, measurement noise, innovation covariance
 L, W, e   S = L L^T, W = L^-1 H P (k, n), e = L^-1 y
@@ -56,15 +56,28 @@ def compiled(*signature: Any) -> Callable[[Function], Function]:
 
 
 @compiled()
-def _predict_pose(T: FloatArray, P: FloatArray, n: int, T_prev_body: FloatArray, Q: FloatArray) -> None:
+def _predict(T: FloatArray, P: FloatArray, n: int, T_prev_body: FloatArray, Q: FloatArray) -> None:
     c, s, x, y = T_prev_body[0, 0], T_prev_body[1, 0], T_prev_body[0, 2], T_prev_body[1, 2]
+    _turn_and_move(T, c, s, x, y)
+    _propagate(P, n, c, s, s * x - c * y, c * x + s * y)
+    for i in range(3):
+        for j in range(3):
+            P[i, j] += 0.5 * (Q[i, j] + Q[j, i])
+
+
+@compiled()
+def _turn_and_move(T: FloatArray, c: float, s: float, x: float, y: float) -> None:
+    """T times the increment of cosine, sine and translation given, in place."""
     for i in range(2):
         a, b = T[i, 0], T[i, 1]
         T[i, 0] = a * c + b * s
         T[i, 1] = b * c - a * s
         T[i, 2] += a * x + b * y
-    # A = [[c, s, s x - c y], [-s, c, c x + s y], [0, 0, 1]], applied to the pose's rows, then its columns.
-    u, v = s * x - c * y, c * x + s * y
+
+
+@compiled()
+def _propagate(P: FloatArray, n: int, c: float, s: float, u: float, v: float) -> None:
+    """A = [[c, s, u], [-s, c, v], [0, 0, 1]] applied to the pose's rows and columns."""
     for j in range(n):
         a, b, d = P[0, j], P[1, j], P[2, j]
         P[0, j] = c * a + s * b + u * d
@@ -74,8 +87,8 @@ def _predict_pose(T: FloatArray, P: FloatArray, n: int, T_prev_body: FloatArray,
         P[i, 0] = c * a + s * b + u * d
         P[i, 1] = c * b - s * a + v * d
     for i in range(3):
-        for j in range(i + 1):
-            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i]) + Q[i, j]
+        for j in range(i):
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
     for j in range(3, n):
         P[j, 0], P[j, 1], P[j, 2] = P[0, j], P[1, j], P[2, j]
 
@@ -143,19 +156,19 @@ def _augment(
 
 
 @compiled()
-def _retract(T: FloatArray, x: float, y: float, theta: float) -> None:
-    """T exp((x, y, theta)), in place."""
+def _move_pose(T: FloatArray, P: FloatArray, n: int, dx: FloatArray, in_world_axes: bool) -> None:
+    """The pose's part of a correction, in the error state chosen."""
+    x, y, theta = dx[0], dx[1], dx[2]
+    c, s = math.cos(theta), math.sin(theta)
+    if in_world_axes:
+        _turn_and_move(T, c, s, x, y)
+        _propagate(P, n, c, s, 0.0, 0.0)
+        return
     if abs(theta) < _SMALL:
         a, b = 1.0 - theta * theta / 6.0, theta * (0.5 - theta * theta / 24.0)
     else:
-        a, b = math.sin(theta) / theta, 2.0 * math.sin(0.5 * theta) ** 2 / theta
-    c, s = math.cos(theta), math.sin(theta)
-    u, v = a * x - b * y, b * x + a * y
-    for i in range(2):
-        p, q = T[i, 0], T[i, 1]
-        T[i, 0] = p * c + q * s
-        T[i, 1] = q * c - p * s
-        T[i, 2] += p * u + q * v
+        a, b = s / theta, 2.0 * math.sin(0.5 * theta) ** 2 / theta
+    _turn_and_move(T, c, s, a * x - b * y, b * x + a * y)
 
 
 @compiled()
@@ -169,6 +182,7 @@ def _correct(
     z: FloatArray,
     R: FloatArray,
     polar: bool,
+    in_world_axes: bool,
 ) -> tuple[float, int]:
     """One update with the observations of the first ``known`` landmarks of ``count``; NIS and its dof.
 
@@ -238,7 +252,7 @@ def _correct(
             w0, w1 = W[a, i], W[a + 1, i]
             for j in range(n):
                 P[i, j] -= w0 * W[a, j] + w1 * W[a + 1, j]
-    _retract(T, dx[0], dx[1], dx[2])
+    _move_pose(T, P, n, dx, in_world_axes)
     for number in range(count):
         landmarks[number, 0] += dx[3 + 2 * number]
         landmarks[number, 1] += dx[4 + 2 * number]
@@ -261,7 +275,7 @@ def _augment_new(
             _augment(T, P, landmarks, numbers[i], z[i], R[i], polar)
 
 
-_SETTINGS = (nb.boolean, nb.boolean)
+_SETTINGS = (nb.boolean, nb.boolean, nb.boolean)
 _STATE = (_own[2], _own[2], _own[2], nb.int64)
 
 
@@ -281,6 +295,7 @@ def step(
     z: FloatArray,
     R: FloatArray,
     polar: bool,
+    in_world_axes: bool,
     join_first: bool,
 ) -> tuple[float, int]:
     """One frame; T, P and landmarks are changed in place. Returns NIS (NaN: diverged) and its dof.
@@ -290,16 +305,17 @@ def step(
         known: landmarks in the state.
         numbers: places of the observed landmarks in the state, (m,); ``known`` and on for new ones, in order.
         polar: range and bearing, otherwise relative positions.
+        in_world_axes: the pose's error is additive in the world, otherwise in the body tangent.
         join_first: new landmarks join before the update, otherwise after it.
     """
-    _predict_pose(T, P, 3 + 2 * known, T_prev_body, Q)
+    _predict(T, P, 3 + 2 * known, T_prev_body, Q)
     new = int(np.count_nonzero(numbers >= known))
     nis, dof = 0.0, 0
     if new and join_first:
         _augment_new(T, P, landmarks, known, numbers, z, R, polar)
     if new < numbers.size:
         count = known + new if join_first else known
-        nis, dof = _correct(T, P, landmarks, count, known, numbers, z, R, polar)
+        nis, dof = _correct(T, P, landmarks, count, known, numbers, z, R, polar, in_world_axes)
     if new and not join_first:
         _augment_new(T, P, landmarks, known, numbers, z, R, polar)
     return nis, dof
@@ -333,6 +349,7 @@ def run(
     z: FloatArray,
     R: FloatArray,
     polar: bool,
+    in_world_axes: bool,
     join_first: bool,
     poses: FloatArray,
     covariances: FloatArray,
@@ -347,7 +364,18 @@ def run(
     for k in range(len(T_prev_body)):
         seen = slice(starts[k], starts[k + 1])
         nis[k], dof[k] = step(
-            T, P, landmarks, known, T_prev_body[k], Q[k], numbers[seen], z[seen], R[seen], polar, join_first
+            T,
+            P,
+            landmarks,
+            known,
+            T_prev_body[k],
+            Q[k],
+            numbers[seen],
+            z[seen],
+            R[seen],
+            polar,
+            in_world_axes,
+            join_first,
         )
         if not math.isfinite(nis[k]):
             return k
