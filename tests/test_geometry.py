@@ -229,3 +229,23 @@ def test_coordinates_and_dead_reckoning_by_hand():
     path = g.dead_reckoning(np.eye(3), square)
     np.testing.assert_allclose(path[:, :2, 2], [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], rtol=0, atol=1e-14)
     np.testing.assert_allclose(g.local(T, g.retract(T, np.array([0.1, 0.2, 0.3]))), [0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize("p", [3, 6])
+def test_world_axes_retraction_adds_the_position_and_turns_the_error_with_the_body(p: int) -> None:
+    """Position p + R v, rotation R exp(omega); the world components R omega and R v of an error stay."""
+    rng = np.random.default_rng(4)
+    T, xi, error = g.exp(rng.normal(size=p)), rng.normal(size=p), rng.normal(size=p)
+    moved, J = g.retract_in_world_axes(T, xi)
+    n = T.shape[0] - 1
+    R, R_moved = T[:n, :n], moved[:n, :n]
+    v, omega = (xi[:2], xi[2:]) if p == 3 else (xi[3:], xi[:3])
+    np.testing.assert_allclose(moved[:n, n], T[:n, n] + R @ v, atol=1e-14)
+    rotation_only = np.concatenate([np.zeros(2), omega]) if p == 3 else np.concatenate([omega, np.zeros(3)])
+    np.testing.assert_allclose(R_moved, R @ g.exp(rotation_only)[:n, :n], atol=1e-14)
+    seen = J @ error
+    vectors = [slice(0, 2)] if p == 3 else [slice(0, 3), slice(3, 6)]
+    for part in vectors:
+        np.testing.assert_allclose(R_moved @ seen[part], R @ error[part], atol=1e-14)
+    if p == 3:
+        assert seen[2] == error[2]

@@ -26,60 +26,74 @@ def numerical_jacobian(function, size: int) -> np.ndarray:  # type: ignore[no-un
 
 
 class DenseEkf:
-    """The same filter written for reading: full matrices, numerical Jacobians, one state vector of errors."""
+    """The textbook filter: one vector (x, y, heading, landmarks), full matrices, numerical Jacobians."""
 
     def __init__(self, problem: Problem) -> None:
-        self.sensor, self.T, self.P = problem.sensor, problem.T_world_body, problem.P
+        self.sensor = problem.sensor
+        self.x = geometry.se2_coordinates(problem.T_world_body)
+        turn = self.turn()
+        self.P = turn @ problem.P @ turn.T
         self.ids: list[int] = []
-        self.map = np.empty((0, 2))
-        self.known: set[int] = set()
 
-    def shifted(self, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return geometry.retract(self.T, error[:3]), self.map + error[3:].reshape(-1, 2)
+    def turn(self) -> np.ndarray:
+        """From the body axes of the pose's position to the world's."""
+        turn = np.eye(self.x.size)
+        turn[:2, :2] = geometry.se2(*self.x[:3])[:2, :2]
+        return turn
 
     def update(self, frame: Frame) -> None:
         if frame.k:
-            predicted = self.T @ frame.T_prev_body
-            A = numerical_jacobian(
-                lambda e: geometry.local(predicted, geometry.retract(self.T, e) @ frame.T_prev_body), 3
-            )
-            F = np.eye(len(self.P))
-            F[:3, :3] = A
-            self.P = F @ self.P @ F.T
-            self.P[:3, :3] += frame.Q
-            self.T = predicted
+            increment = frame.T_prev_body
+
+            def moved(error: np.ndarray, noise: np.ndarray) -> np.ndarray:
+                T = geometry.se2(*(self.x + error)[:3]) @ geometry.retract(increment, noise)
+                return np.concatenate([geometry.se2_coordinates(T), (self.x + error)[3:]])
+
+            none = np.zeros(self.x.size)
+            F = numerical_jacobian(lambda error: moved(error, np.zeros(3)), self.x.size)
+            G = numerical_jacobian(lambda noise: moved(none, noise), 3)
+            self.P = F @ self.P @ F.T + G @ frame.Q @ G.T
+            self.x = moved(none, np.zeros(3))
+        known = len(self.ids)
         for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
-            if landmark in self.ids:
-                continue
-            position = self.sensor.invert(self.T, z)
-            G = numerical_jacobian(lambda e, z=z: self.sensor.invert(geometry.retract(self.T, e), z), 3)
-            Gz = numerical_jacobian(lambda e, z=z: self.sensor.invert(self.T, z + e), 2)
-            F = np.vstack([np.eye(len(self.P)), np.hstack([G, np.zeros((2, len(self.P) - 3))])])
-            self.P = F @ self.P @ F.T
-            self.P[-2:, -2:] += Gz @ R @ Gz.T
-            self.map = np.vstack([self.map, position])
-            self.ids.append(landmark)
-        old = [i for i, landmark in enumerate(frame.ids.tolist()) if landmark in self.known]
+            if landmark not in self.ids:
+                self.augment(landmark, z, R)
+        old = [i for i, landmark in enumerate(frame.ids.tolist()) if landmark in self.ids[:known]]
         if old:
             self.correct(frame, old)
-        self.known = set(self.ids)
+
+    def augment(self, landmark: int, z: np.ndarray, R: np.ndarray) -> None:
+        def seen(error: np.ndarray, noise: np.ndarray) -> np.ndarray:
+            return self.sensor.invert(geometry.se2(*(self.x + error)[:3]), z + noise)
+
+        none = np.zeros(self.x.size)
+        G = numerical_jacobian(lambda error: seen(error, np.zeros(2)), self.x.size)
+        Gz = numerical_jacobian(lambda noise: seen(none, noise), 2)
+        F = np.vstack([np.eye(self.x.size), G])
+        self.P = F @ self.P @ F.T
+        self.P[-2:, -2:] += Gz @ R @ Gz.T
+        self.x = np.concatenate([self.x, seen(none, np.zeros(2))])
+        self.ids.append(landmark)
 
     def correct(self, frame: Frame, rows: list[int]) -> None:
         numbers = [self.ids.index(int(frame.ids[row])) for row in rows]
 
         def h(error: np.ndarray) -> np.ndarray:
-            T, landmarks = self.shifted(error)
-            return self.sensor.predict(T, landmarks[numbers]).ravel()
+            x = self.x + error
+            return self.sensor.predict(geometry.se2(*x[:3]), x[3:].reshape(-1, 2)[numbers])
 
-        size = len(self.P)
-        H = numerical_jacobian(h, size)
-        y = self.sensor.residual(frame.z[rows], self.sensor.predict(self.T, self.map[numbers])).ravel()
+        H = numerical_jacobian(lambda error: h(error).ravel(), self.x.size)
+        y = self.sensor.residual(frame.z[rows], h(np.zeros(self.x.size))).ravel()
         R = np.zeros((y.size, y.size))
         for i, row in enumerate(rows):
             R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = frame.R[row]
         K = self.P @ H.T @ np.linalg.inv(H @ self.P @ H.T + R)
-        self.T, self.map = self.shifted(K @ y)
-        self.P = (np.eye(size) - K @ H) @ self.P
+        self.x = self.x + K @ y
+        self.P = (np.eye(self.x.size) - K @ H) @ self.P
+
+    def body_covariance(self) -> np.ndarray:
+        turn = self.turn()
+        return turn.T @ self.P @ turn
 
 
 @pytest.mark.parametrize("sensor_name", ["range_bearing", "relative_position"])
@@ -90,10 +104,12 @@ def test_matches_a_dense_filter_with_numerical_jacobians(sensor_name: str) -> No
         ekf.update(frame)
         dense.update(frame)
         # Central differences with h = 1e-6 are good to about 1e-9.
-        np.testing.assert_allclose(ekf.estimate().T_world_body, dense.T, atol=1e-7)
+        np.testing.assert_allclose(ekf.estimate().T_world_body, geometry.se2(*dense.x[:3]), atol=1e-7)
     np.testing.assert_array_equal(ekf.landmarks().ids, dense.ids)
-    np.testing.assert_allclose(ekf.landmarks().positions, dense.map, atol=1e-7)
-    np.testing.assert_allclose(ekf.joint_covariance(), dense.P, atol=1e-7 * np.abs(dense.P).max())
+    np.testing.assert_allclose(ekf.landmarks().positions.ravel(), dense.x[3:], atol=1e-7)
+    np.testing.assert_allclose(
+        ekf.joint_covariance(), dense.body_covariance(), atol=1e-7 * np.abs(dense.P).max()
+    )
 
 
 def test_update_is_one_gauss_newton_step_from_the_prediction() -> None:
@@ -118,13 +134,15 @@ def test_update_is_one_gauss_newton_step_from_the_prediction() -> None:
         gradient += H.T @ weight @ y[i]
     step = np.linalg.solve(information, gradient)
     ekf.update(Frame(frame.k, frame.t, np.eye(3), np.zeros((3, 3)), frame.ids, frame.z, frame.R))
-    np.testing.assert_allclose(ekf.estimate().T_world_body, geometry.retract(T, step[:3]), atol=1e-10)
+    moved, turn = geometry.retract_in_world_axes(T, step[:3])
+    np.testing.assert_allclose(ekf.estimate().T_world_body, moved, atol=1e-10)
     np.testing.assert_allclose(
         ekf.landmarks().positions, before.positions + step[3:].reshape(-1, 2), atol=1e-10
     )
-    np.testing.assert_allclose(
-        ekf.joint_covariance(), np.linalg.inv(information), atol=1e-9 * np.abs(P).max()
-    )
+    posterior = np.linalg.inv(information)
+    posterior[:3] = turn @ posterior[:3]
+    posterior[:, :3] = posterior[:, :3] @ turn.T
+    np.testing.assert_allclose(ekf.joint_covariance(), posterior, atol=1e-9 * np.abs(P).max())
 
 
 @pytest.mark.parametrize("new_landmarks", ["join_first", "update_first"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -11,13 +13,15 @@ from tests.oracles.window_graph import WindowOneGraph
 from tests.toy_stream import toy_stream
 
 
+@pytest.mark.parametrize("axes", ["world", "body"])
 @pytest.mark.parametrize("sensor_name", ["range_bearing", "relative_position"])
-def test_ekf_is_the_window_one_graph(sensor_name: str) -> None:
+def test_ekf_is_the_window_one_graph(sensor_name: str, axes: Literal["world", "body"]) -> None:
     """Mean and joint covariance after each of 200 frames, 20 landmarks joining as they are first seen."""
     stream, _, _ = toy_stream(
         frames=200, landmarks=20, sensor_name=sensor_name, seed=3, prior_sigma=0.05, seen_at_once=4
     )
-    ekf, graph = EkfSlam(stream.problem), WindowOneGraph(stream.problem)
+    ekf = EkfSlam(stream.problem, error_state=axes)
+    graph = WindowOneGraph(stream.problem, axes=axes)
     for frame in stream.frames:
         ekf.update(frame)
         graph.update(frame)

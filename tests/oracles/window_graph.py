@@ -5,6 +5,8 @@ Written for reading, apart from the package's own graph code: relative positions
 
 from __future__ import annotations
 
+from typing import Literal
+
 import gtsam
 import numpy as np
 
@@ -45,9 +47,15 @@ def observation_factor(
 
 
 class WindowOneGraph:
-    """Linearise, eliminate the previous pose, solve once, keep the rest as linear factors."""
+    """Linearise, eliminate the previous pose, solve once, keep the rest as linear factors.
 
-    def __init__(self, problem: Problem) -> None:
+    ``axes``: in which axes the kept pose's error is additive. "body" is GTSAM's own way, T exp(xi) and linear
+    factors kept as they are; "world" moves the position and the heading apart and reads the kept factors in
+    the axes of the moved pose.
+    """
+
+    def __init__(self, problem: Problem, *, axes: Literal["world", "body"]) -> None:
+        self.axes = axes
         self.sensor = problem.sensor
         self.values = gtsam.Values()
         self.values.insert(X(0), pose2(problem.T_world_body))
@@ -56,7 +64,7 @@ class WindowOneGraph:
         )
         self.kept = gtsam.NonlinearFactorGraph()
         self.kept.add(prior)
-        self.remaining: gtsam.GaussianFactorGraph | None = None
+        self.P = problem.P
         self.ids: list[int] = []
         self.k = 0
 
@@ -80,9 +88,51 @@ class WindowOneGraph:
             ordering.push_back(X(frame.k - 1))
             _, remaining = remaining.eliminatePartialSequential(ordering)
             values.erase(X(frame.k - 1))
-        self.values = values.retract(remaining.optimize())
-        self.kept = gtsam.LinearContainerFactor.ConvertLinearGraph(remaining, values)
-        self.remaining = remaining
+        ordering = gtsam.Ordering()
+        for key in (X(self.k), *(L(i) for i in self.ids)):
+            ordering.push_back(key)
+        information, _ = remaining.hessian(ordering)
+        step = remaining.optimize()
+        if self.axes == "body":
+            self.values = values.retract(step)
+            self.kept = gtsam.LinearContainerFactor.ConvertLinearGraph(remaining, values)
+        else:
+            information = self._move_in_world_axes(values, step, information)
+            self._keep_about_the_mean(information)
+        self.P = np.linalg.inv(information)
+
+    def _move_in_world_axes(
+        self, values: gtsam.Values, step: gtsam.VectorValues, information: np.ndarray
+    ) -> np.ndarray:
+        """Correct the mean; answers with the information on errors in the axes of the corrected pose."""
+        old = values.atPose2(X(self.k))
+        dx, dy, turn = step.at(X(self.k))
+        position = old.transformFrom(np.array([dx, dy]))
+        self.values = gtsam.Values()
+        self.values.insert(X(self.k), gtsam.Pose2(position[0], position[1], old.theta() + turn))
+        for landmark in self.ids:
+            self.values.insert(L(landmark), values.atPoint2(L(landmark)) + step.at(L(landmark)))
+        old_from_new = np.eye(len(information))
+        old_from_new[:2, :2] = gtsam.Rot2(turn).matrix()
+        return old_from_new.T @ information @ old_from_new
+
+    def _keep_about_the_mean(self, information: np.ndarray) -> None:
+        """A Gaussian on all kept variables as factors on pairs, the most that can be built from Python."""
+        keys = [X(self.k), *(L(i) for i in self.ids)]
+        ends = np.cumsum([3] + [2] * len(self.ids))
+        states = [np.arange(end - (2 if i else 3), end) for i, end in enumerate(ends)]
+        self.kept = gtsam.NonlinearFactorGraph()
+
+        def keep(factor: gtsam.HessianFactor) -> None:
+            self.kept.add(gtsam.LinearContainerFactor(factor, self.values))
+
+        for i, own in enumerate(states):
+            keep(gtsam.HessianFactor(keys[i], information[np.ix_(own, own)], np.zeros(own.size), 0.0))
+            for j in range(i + 1, len(states)):
+                other = states[j]
+                none_i, none_j = np.zeros((own.size,) * 2), np.zeros((other.size,) * 2)
+                G_ij = information[np.ix_(own, other)]
+                keep(gtsam.HessianFactor(keys[i], keys[j], none_i, G_ij, none_i[0], none_j, none_j[0], 0.0))
 
     def pose(self) -> np.ndarray:
         return self.values.atPose2(X(self.k)).matrix()
@@ -93,8 +143,4 @@ class WindowOneGraph:
 
     def joint_covariance(self) -> np.ndarray:
         """(3 + 2 L, 3 + 2 L), pose first, landmarks in the order of first sight."""
-        ordering = gtsam.Ordering()
-        for key in (X(self.k), *(L(i) for i in self.ids)):
-            ordering.push_back(key)
-        information, _ = self.remaining.hessian(ordering)
-        return np.linalg.inv(information)
+        return self.P
