@@ -50,6 +50,9 @@ class ExperimentFields(BaseModel):
         default_factory=dict, description="Dotted path of a parameter: list of its values; a grid"
     )
     time_limit_s: float = Field(600.0, gt=0, description="Wall time of one back end on one trial")
+    stream_time_limit_s: float = Field(
+        3600.0, gt=0, description="Wall time of the source and the front end on one trial"
+    )
     memory_limit_mb: float | None = Field(
         None, gt=0, description="Memory one job may take; default: its share of the machine's"
     )
@@ -97,6 +100,7 @@ class Experiment:
     sweep: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     reference: str | None = None
     time_limit_s: float = 600.0
+    stream_time_limit_s: float = 3600.0
     memory_limit_mb: float | None = None
     figures: tuple[str, ...] | None = None
     question: str = ""
@@ -137,6 +141,7 @@ class Experiment:
             "until": None if self.until is None else self.until.model_dump(),
             "sweep": {path: list(values) for path, values in self.sweep.items()},
             "time_limit_s": self.time_limit_s,
+            "stream_time_limit_s": self.stream_time_limit_s,
             "memory_limit_mb": self.memory_limit_mb,
             "figures": None if self.figures is None else list(self.figures),
         }
@@ -206,6 +211,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         sweep={key: tuple(values) for key, values in fields.sweep.items()},
         reference=fields.reference,
         time_limit_s=fields.time_limit_s,
+        stream_time_limit_s=fields.stream_time_limit_s,
         memory_limit_mb=fields.memory_limit_mb,
         figures=None if fields.figures is None else tuple(fields.figures),
         question=fields.question,

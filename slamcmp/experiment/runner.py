@@ -251,6 +251,7 @@ class _Schedule:
     ) -> None:
         self._stop = stop
         self._folder, self._workers, self._watcher = folder, workers, watcher
+        self._stream_time_limit_s = experiment.stream_time_limit_s
         self._several_trials = len(plan.trials) > 1
         share = machine_memory_mb() * MEMORY_SHARE / workers.slots
         self._memory_limit_mb = experiment.memory_limit_mb or share
@@ -296,7 +297,8 @@ class _Schedule:
     def _start(self, job: StreamJob | RunJob) -> None:
         if isinstance(job, StreamJob):
             plugins = tuple((each.spec, dict(each.parameters)) for each in (job.source, job.front_end))
-            task, frames = Task("stream", job.key, self._folder, plugins, job.seed), 0
+            limit = self._stream_time_limit_s
+            task, frames = Task("stream", job.key, self._folder, plugins, job.seed, time_limit_s=limit), 0
         else:
             digest, frames = self._frames[job.stream_key]
             task = Task(

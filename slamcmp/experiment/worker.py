@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import time
 import traceback
 from collections.abc import Mapping, MutableSequence
 from dataclasses import dataclass, replace
@@ -78,6 +79,7 @@ def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
     if cv2 is not None:
         cv2.setNumThreads(1)
     if task.kind == "stream":
+        heartbeat[0] = time.monotonic()
         _make_stream(task)
     else:
         _run(task, heartbeat)

@@ -13,10 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.errors import UsageError
 from slamcmp.geometry import wrap
 from slamcmp.models.motion import Unicycle
 
 FloatArray = NDArray[np.float64]
+
+FARTHEST = 1.2
+"""Of a square's half side: from its middle a twentieth of the area is farther away, of 1.42 nothing."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +86,17 @@ def wander(
     """Controls (steps-1, 2) towards one random waypoint after another in a square about the origin.
 
     A waypoint counts as reached within the turning circle's diameter, which no course can orbit for ever.
+
+    Raises:
+        UsageError: from the middle of the square hardly a waypoint, or none, is farther than that.
     """
     reached = max(2 * speed_m_s / turn_max_rad_s, speed_m_s * time_step_s)
+    if reached > FARTHEST * half_size_m:
+        raise UsageError(
+            f"half_size_m is {half_size_m:g}: too small for a walk whose waypoints count as reached within "
+            f"{reached:.3g} m (the turning circle's diameter, at least one step); "
+            f"{reached / FARTHEST:.3g} or more is needed, or a higher turn rate, or a lower speed"
+        )
     model, T = Unicycle(), np.eye(3)
     controls = np.empty((steps - 1, 2))
     goal = generator.uniform(-half_size_m, half_size_m, 2)

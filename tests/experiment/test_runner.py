@@ -329,3 +329,12 @@ def test_workers_have_one_blas_thread_and_no_traces_of_the_caller(tmp_path: Path
     variables, cv2_threads = json.loads(log.read_text())
     assert variables == ["1", "1"]
     assert cv2_threads in (None, 1)
+
+
+def test_source_that_does_not_end_is_ended(write_experiment: Write, tmp_path: Path) -> None:
+    path = write_experiment(
+        source={"name": f"{PLUGINS}:endless_source"}, back_ends=["DeadReckoning"], stream_time_limit_s=0.5
+    )
+    found = row(run_experiment(path, folder=tmp_path / "r", jobs=1), "DeadReckoning")
+    assert found["status"] == "crashed"
+    assert found["message"] == "no stream: ended 2.5 s after its start: it was stuck"

@@ -38,6 +38,12 @@ def broken_source(seed: int) -> Log:
     raise ZeroDivisionError(f"seed {seed}")
 
 
+def endless_source(seed: int) -> Log:
+    """A source that never comes to an end."""
+    while True:
+        pass
+
+
 def sourceless(seed: int) -> Log:
     """A source whose file is not there."""
     raise MissingDataError("park.txt: there is no such file")
@@ -71,6 +77,11 @@ class Anything(DeadReckoning):
 
     def __init__(self, problem: Problem, *, value: Any = None) -> None:
         super().__init__(problem)
+
+
+class TellsItsSeed(DeadReckoning):
+    def diagnostics(self) -> dict[str, float]:
+        return dict.fromkeys(("seed", "trial", "label", "digest", "back_end", "source.steps"), -1.0)
 
 
 class Hindsight(DeadReckoning):

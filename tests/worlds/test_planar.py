@@ -411,3 +411,10 @@ def test_logs_are_frozen():
     with pytest.raises(ValueError, match="read-only"):
         log.detections[0].z[...] = 0
     assert replace(log, name="other").name == "other"
+
+
+def test_walk_in_a_square_smaller_than_the_turning_circle_is_refused() -> None:
+    # 1 m/s at 3 deg/s: the circle's diameter is 2 / (3 pi / 180) = 38.2 m.
+    with pytest.raises(UsageError, match=r"half_size_m is 20: .* within 38\.2 m .*; 31\.8 or more"):
+        make("random", turn_deg_s=3.0)
+    assert len(make("random", turn_deg_s=3.0, half_size_m=31.9, steps=2000).t) == 2000
