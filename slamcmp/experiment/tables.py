@@ -60,8 +60,9 @@ def gather(
             keys = _keys(trial, choice, known.digest, kinds)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
             rows.append({**keys, **scores, **_outcome(run, name), **inspector.findings(run.run)})
-            for tables, make in ((frames, frame_table), (landmarks, landmark_table)):
-                table = make(run.run, truth, reference=borrowed)
+            of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
+            of_landmarks = landmark_table(run.run, truth, reference=borrowed)
+            for tables, table in ((frames, of_frames), (landmarks, of_landmarks)):
                 for position, (key, value) in enumerate(keys.items()):
                     table.insert(position, key, value)
                 tables.append(table)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,11 +70,14 @@ def score_run(run: Run, truth: GroundTruth | None, *, reference: bool = False) -
     return scores
 
 
-def frame_table(run: Run, truth: GroundTruth | None, *, reference: bool = False) -> pd.DataFrame:
+def frame_table(
+    run: Run, truth: GroundTruth | None, *, reference: bool = False, taken: Collection[str] = ()
+) -> pd.DataFrame:
     """One row per finished frame: poses, errors in the body tangent with their sigmas, NEES, times.
 
     Positions in m in the world, headings in rad, times in s. The columns of the final trajectory are there
-    only where the run has one; NEES is NaN against a ``reference`` that is not the truth.
+    only where the run has one; NEES is NaN against a ``reference`` that is not the truth. A diagnostic that
+    is called like a column, or like one of the names that are ``taken``, gets ``_diagnostic`` appended.
     """
     frames = run.online.t.size
     columns: dict[str, Any] = {"k": np.arange(frames), "t": run.online.t}
@@ -87,8 +91,9 @@ def frame_table(run: Run, truth: GroundTruth | None, *, reference: bool = False)
         columns |= _trajectory_columns(which, trajectory, truth, reference)
     columns |= {"update_s": run.update_s, "estimate_s": run.estimate_s}
     for name, series in run.diagnostics.items():
-        # A back end's own name must not replace a column of the table.
-        columns[name if name not in columns else f"{name}_diagnostic"] = series
+        while name in columns or name in taken:
+            name += "_diagnostic"
+        columns[name] = series
     return pd.DataFrame(columns)
 
 

@@ -59,3 +59,11 @@ def test_table_that_parquet_cannot_hold_is_named(write_experiment: Write, tmp_pa
     results.trials["odd"] = [{1: object()}]
     with pytest.raises(DataError, match=r"trials\.parquet: the table of trials has a column that Parquet"):
         save_results(results)
+
+
+def test_diagnostics_named_like_keys_do_not_stop_the_tables(write_experiment: Write, tmp_path: Path) -> None:
+    path = write_experiment(back_ends=["TellsItsSeed"], sweep={"source.steps": [4, 5]}, seeds=[3])
+    frames = run_experiment(path, folder=tmp_path / "r", executor="serial").frames
+    assert set(frames["seed"]) == {3}
+    assert set(frames["source.steps"]) == {4, 5}
+    assert set(frames["seed_diagnostic"]) == set(frames["source.steps_diagnostic"]) == {-1.0}

@@ -10,7 +10,7 @@ import pytest
 from slamcmp.errors import DataError
 from slamcmp.geometry import se2
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
-from slamcmp.types import Trajectory
+from slamcmp.types import Run, Trajectory
 
 P_HAND = np.diag([0.04, 0.01, 0.01])
 
@@ -199,3 +199,24 @@ def test_every_metric_column_says_what_it_is():
     assert columns["nis_per_dof"].trajectory == ""
     assert columns["nis_per_dof"].lower_is_better is None
     assert all(column.description.endswith(".") and column.unit for column in columns.values())
+
+
+def test_diagnostics_never_take_the_name_of_a_column() -> None:
+    run = Run(
+        "b",
+        {},
+        "d",
+        0,
+        1,
+        "ok",
+        "",
+        Trajectory([0.0], [np.eye(3)], [np.eye(3)]),
+        np.ones(1),
+        np.ones(1),
+        diagnostics={name: np.full(1, 7.0) for name in ("k", "k_diagnostic", "seed", "source.x", "nis")},
+    )
+    table = frame_table(run, None, taken=("seed", "source.x"))
+    assert table["k"][0] == 0
+    for name in ("k_diagnostic", "k_diagnostic_diagnostic", "seed_diagnostic", "source.x_diagnostic", "nis"):
+        assert table[name][0] == 7.0
+    assert not {"seed", "source.x"} & set(table)
