@@ -214,14 +214,6 @@ def test_quaternions_of_half_turns_by_hand(axis):
     )
 
 
-def test_nearest_rotation_removes_rounding_and_reflections():
-    R = g.so3_exp(np.array([0.3, -0.2, 0.9]))
-    np.testing.assert_allclose(g.nearest_rotation(np.round(R, 4)), R, rtol=0, atol=1e-4)
-    near = g.nearest_rotation(np.round(R, 4))
-    np.testing.assert_allclose(near @ near.T, np.eye(3), rtol=0, atol=1e-14)
-    assert np.linalg.det(g.nearest_rotation(-np.eye(3))) == pytest.approx(1.0)
-
-
 def test_coordinates_and_dead_reckoning_by_hand():
     T = g.se2(1.0, 2.0, 0.5)
     np.testing.assert_allclose(g.se2_coordinates(T), [1, 2, 0.5])

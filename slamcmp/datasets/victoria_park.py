@@ -10,18 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from annotated_types import Ge
 
 from slamcmp.datasets.graph import graph_log
 from slamcmp.datasets.graph_reader import read_graph
 from slamcmp.datasets.wheel import wheel_file
-from slamcmp.models.sensors import make_sensor
+from slamcmp.models.sensors import cartesian_to_polar, make_sensor
 from slamcmp.registry import sources
 from slamcmp.types import Detections, Log, Problem
-
-VARIANCE_M2 = 0.4
-"""Per axis of a landmark's relative position; it stands on every LANDMARK line of the file."""
 
 PRIOR_SIGMA = 1e-6
 """Of the first pose [m, rad]: it is the origin."""
@@ -58,13 +54,6 @@ def victoria_park(
 
 
 def _as_range_bearing(log: Log) -> Log:
-    detections = []
-    for seen in log.detections:
-        x, y = seen.z[:, 0], seen.z[:, 1]
-        distance = np.hypot(x, y)
-        covariances = np.zeros((seen.ids.size, 2, 2))
-        covariances[:, 0, 0] = VARIANCE_M2
-        covariances[:, 1, 1] = VARIANCE_M2 / distance**2
-        detections.append(Detections(np.stack([distance, np.arctan2(y, x)], axis=-1), covariances, seen.ids))
+    detections = tuple(Detections(*cartesian_to_polar(seen.z, seen.R), seen.ids) for seen in log.detections)
     problem = Problem(log.problem.T_world_body, log.problem.P, make_sensor("range_bearing", {}))
-    return Log(log.name, problem, log.t, log.T_prev_body, log.Q, tuple(detections))
+    return Log(log.name, problem, log.t, log.T_prev_body, log.Q, detections)

@@ -150,14 +150,6 @@ class RangeBearing:
         return y
 
 
-def polar_to_cartesian(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Range-bearing (m, 2) with R (m, 2, 2) as relative positions with first-order covariances."""
-    r, b = z[..., 0], z[..., 1]
-    cos, sin = np.cos(b), np.sin(b)
-    D = np.stack([np.stack([cos, -r * sin], -1), np.stack([sin, r * cos], -1)], -2)
-    return np.stack([r * cos, r * sin], -1), D @ R @ np.swapaxes(D, -1, -2)
-
-
 def cartesian_to_polar(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Relative positions (m, 2) with R (m, 2, 2) as range-bearing with first-order covariances."""
     x, y = z[..., 0], z[..., 1]

@@ -15,7 +15,6 @@ from slamcmp.models.sensors import (
     RelativePosition,
     cartesian_to_polar,
     make_sensor,
-    polar_to_cartesian,
 )
 
 SENSORS = [RangeBearing(), RelativePosition(), RelativePosition(space_dim=3)]
@@ -138,14 +137,16 @@ def test_range_bearing_by_hand():
     )
 
 
-def test_covariances_survive_the_change_of_coordinates():
+def test_relative_positions_become_polar_with_first_order_covariances():
     generator = np.random.default_rng(7)
     z = np.stack([generator.uniform(1, 9, 12), generator.uniform(-3, 3, 12)], axis=-1)
     A = generator.standard_normal((12, 2, 2))
     R = A @ np.swapaxes(A, -1, -2) + np.eye(2)
-    back_z, back_R = cartesian_to_polar(*polar_to_cartesian(z, R))
-    np.testing.assert_allclose(back_z, z, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(back_R, R, rtol=1e-11)
+    polar_z, polar_R = cartesian_to_polar(z, R)
+    np.testing.assert_allclose(RangeBearing().invert(np.eye(3), polar_z), z, rtol=0, atol=1e-13)
+    # The sensor's own derivative by the landmark is the change of coordinates, seen from the origin.
+    _, D = RangeBearing().jacobians(np.eye(3), z)
+    np.testing.assert_allclose(polar_R, D @ R @ np.swapaxes(D, -1, -2), rtol=1e-11)
     # An isotropic position error is sigma in range and sigma/r in bearing.
     _, polar = cartesian_to_polar(np.array([[3.0, 4.0]]), 0.4 * np.eye(2)[None])
     np.testing.assert_allclose(polar[0], np.diag([0.4, 0.4 / 25]), rtol=0, atol=1e-15)
