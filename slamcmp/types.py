@@ -60,6 +60,12 @@ def _require_finite(array: NDArray[Any], name: str) -> None:
         raise DataError(f"{name}: has entries that are not finite")
 
 
+def _require_unique(ids: NDArray[Any], name: str) -> None:
+    if ids.size > 1 and np.unique(ids).size != ids.size:
+        values, counts = np.unique(ids, return_counts=True)
+        raise DataError(f"{name}: id {values[counts > 1][0]} stands twice; each landmark has one")
+
+
 def _require_psd(covariances: FloatArray, name: str, *, definite: bool) -> None:
     """Check one covariance ``(d, d)`` or a batch of them for symmetry and sign."""
     if covariances.size == 0:
@@ -188,6 +194,7 @@ class GroundTruth:
         poses = np.asarray(self.T_world_body, dtype=np.float64)
         size = poses.shape[-1]
         ids = frozen(self.ids, "GroundTruth.ids", (None,), np.int64)
+        _require_unique(ids, "GroundTruth.ids")
         _set(
             self,
             t=t,
@@ -348,6 +355,7 @@ class Landmarks:
 
     def __post_init__(self) -> None:
         ids = frozen(self.ids, "Landmarks.ids", (None,), np.int64)
+        _require_unique(ids, "Landmarks.ids")
         positions = frozen(self.positions, "Landmarks.positions", (ids.size, None))
         n = positions.shape[1]
         _set(

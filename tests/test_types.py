@@ -206,3 +206,10 @@ def test_random_streams_are_independent_children():
     again.world.random(1000)
     assert [getattr(again, name).random() for name in names[1:]] == firsts[1:]
     assert len({*firsts, *(getattr(other, name).random() for name in names)}) == 10
+
+
+def test_a_landmark_id_stands_once() -> None:
+    with pytest.raises(DataError, match=r"Landmarks\.ids: id 7 stands twice"):
+        Landmarks([7, 1, 7], np.ones((3, 2)), np.ones((3, 2, 2)))
+    with pytest.raises(DataError, match=r"GroundTruth\.ids: id 7 stands twice"):
+        GroundTruth([0.0], np.eye(3)[None], [7, 7], np.ones((2, 2)))

@@ -273,8 +273,6 @@ def _require_map(landmarks: object, stream: MeasurementStream) -> None:
         raise ValueError(
             f"landmarks() has positions of shape {landmarks.positions.shape} where (any, {n}) is needed"
         )
-    if np.unique(landmarks.ids).size != landmarks.ids.size:
-        raise ValueError("landmarks() names an id twice")
 
 
 def _final_fault(hindsight: Mapping[str, Any]) -> str:
