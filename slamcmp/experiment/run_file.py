@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +29,7 @@ RUN_HEADER = (
     "versions",
 )
 SERIES = "diagnostics/"
+Stored = TypeVar("Stored")
 
 
 @dataclass(frozen=True)
@@ -79,28 +79,8 @@ def save_run(stored: StoredRun, path: Path) -> None:
 
 
 def load_run(path: Path) -> StoredRun | None:
-    """The stored run, or None where there is none that can be read."""
-    loaded = _load(path, RUN_FORMAT)
-    if loaded is None:
-        return None
-    header, arrays = loaded
-    landmarks = None
-    if "ids" in arrays:
-        landmarks = Landmarks(arrays["ids"], arrays["positions"], arrays["covariances"])
-    online = _trajectory("online", arrays)
-    assert online is not None
-    run = Run(
-        **{name: header[name] for name in RUN_HEADER},
-        online=online,
-        final=_trajectory("final", arrays),
-        update_s=arrays["update_s"],
-        estimate_s=arrays["estimate_s"],
-        landmarks=landmarks,
-        diagnostics={
-            name.removeprefix(SERIES): array for name, array in arrays.items() if name.startswith(SERIES)
-        },
-    )
-    return StoredRun(run, header["scores"], header["completion"])
+    """The stored run, or None where there is none that can be read: it has to be computed again."""
+    return _load(path, RUN_FORMAT, _rebuild_run)
 
 
 def relabelled(stored: StoredRun, label: str) -> StoredRun:
@@ -109,13 +89,9 @@ def relabelled(stored: StoredRun, label: str) -> StoredRun:
 
 
 def run_status(path: Path) -> str | None:
-    """Only the status of a stored run; None where there is none that can be read."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            header = json.loads(file["header"].tobytes())
-            return str(header["status"]) if header["format"] == RUN_FORMAT else None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-        return None
+    """The status of a stored run; None where there is none that can be read."""
+    stored = load_run(path)
+    return None if stored is None else stored.run.status
 
 
 def save_truth(stored: StoredTruth, path: Path) -> None:
@@ -139,10 +115,30 @@ def save_truth(stored: StoredTruth, path: Path) -> None:
 
 def load_truth(path: Path) -> StoredTruth | None:
     """What a stream job found out, or None where there is nothing that can be read."""
-    loaded = _load(path, TRUTH_FORMAT)
-    if loaded is None:
-        return None
-    header, arrays = loaded
+    return _load(path, TRUTH_FORMAT, _rebuild_truth)
+
+
+def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> StoredRun:
+    landmarks = None
+    if "ids" in arrays:
+        landmarks = Landmarks(arrays["ids"], arrays["positions"], arrays["covariances"])
+    online = _trajectory("online", arrays)
+    assert online is not None
+    run = Run(
+        **{name: header[name] for name in RUN_HEADER},
+        online=online,
+        final=_trajectory("final", arrays),
+        update_s=arrays["update_s"],
+        estimate_s=arrays["estimate_s"],
+        landmarks=landmarks,
+        diagnostics={
+            name.removeprefix(SERIES): array for name, array in arrays.items() if name.startswith(SERIES)
+        },
+    )
+    return StoredRun(run, header["scores"], header["completion"])
+
+
+def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> StoredTruth:
     truth = None
     if "t" in arrays:
         outliers = None
@@ -169,12 +165,16 @@ def _save(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> N
     write_atomically(path, lambda file: np.savez(file, header=text, **arrays))
 
 
-def _load(path: Path, expected: str) -> tuple[dict[str, Any], dict[str, Any]] | None:
+def _load(
+    path: Path, expected: str, rebuild: Callable[[Mapping[str, Any], Mapping[str, Any]], Stored]
+) -> Stored | None:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(arrays.pop("header").tobytes())
-        # A damaged or older file is a result that has to be computed again, not an error.
-        return (header, arrays) if header["format"] == expected else None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return rebuild(header, arrays) if header["format"] == expected else None
+    except Exception:
+        # A damaged or older file is a result that has to be computed again, not an error; a changed byte
+        # surfaces as whatever zipfile, zlib, numpy or json meet first, up to NotImplementedError (an
+        # unknown compression) and RuntimeError ("encrypted").
         return None
