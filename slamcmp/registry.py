@@ -14,6 +14,7 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -100,11 +101,12 @@ class Registry:
     def _load(self) -> None:
         if self._loaded:
             return
-        self._loaded = True
         for package_name in self._packages:
             package = importlib.import_module(package_name)
             for module in pkgutil.iter_modules(package.__path__, package_name + "."):
                 importlib.import_module(module.name)
+        # Not before: after an import that failed, the next call says so again instead of knowing half.
+        self._loaded = True
 
 
 def did_you_mean(name: str, known: Any) -> str:
@@ -118,7 +120,8 @@ def did_you_mean(name: str, known: Any) -> str:
 def load_user_plugin(spec: str, kind: str = "back end") -> Plugin:
     """Import ``path/file.py:Name`` from the user's own file.
 
-    The file's directory goes onto ``sys.path`` so that the file can import its neighbours.
+    The file's directory goes onto ``sys.path`` so that the file can import its neighbours. A file that has
+    changed is imported anew, as a notebook's reader expects.
 
     Raises:
         UsageError: no such file, the file does not import, or it has no such name.
@@ -127,7 +130,8 @@ def load_user_plugin(spec: str, kind: str = "back end") -> Plugin:
     path = Path(path_text).expanduser().resolve()
     if not path.is_file():
         raise UsageError(f"{kind} {spec!r}: there is no file {path}")
-    module_name = f"slamcmp_user_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
+    identity = hashlib.sha256(str(path).encode() + b"\0" + path.read_bytes()).hexdigest()
+    module_name = f"slamcmp_user_{path.stem}_{identity[:12]}"
     module = sys.modules.get(module_name)
     if module is None:
         module_spec = importlib.util.spec_from_file_location(module_name, path)
@@ -139,14 +143,23 @@ def load_user_plugin(spec: str, kind: str = "back end") -> Plugin:
         sys.modules[module_name] = module
         try:
             module_spec.loader.exec_module(module)
-        except Exception as error:
-            del sys.modules[module_name]
-            raise UsageError(f"{kind} {spec!r}: {path} does not import: {error!r}") from error
+        except (Exception, SystemExit) as error:
+            sys.modules.pop(module_name, None)
+            raise UsageError(f"{kind} {spec!r}: {path} does not import: {_told(error, path)}") from error
     target = getattr(module, attribute, None)
     if not callable(target):
         classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
         raise UsageError(f"{kind} {spec!r}: {path} has no {attribute!r}{did_you_mean(attribute, classes)}")
     return Plugin(f"{path.name}:{attribute}", target, {"user_file": path})
+
+
+def _told(error: BaseException, path: Path) -> str:
+    """``KeyError: 'x' (mine.py, line 3)``; a syntax error names its place itself."""
+    text = f"{type(error).__name__}: {error}".removesuffix(": ")
+    lines = [
+        entry.lineno for entry in traceback.extract_tb(error.__traceback__) if entry.filename == str(path)
+    ]
+    return text if isinstance(error, SyntaxError) or not lines else f"{text} ({path.name}, line {lines[-1]})"
 
 
 sources = Registry("source", "slamcmp.worlds", "slamcmp.datasets")

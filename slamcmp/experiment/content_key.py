@@ -8,6 +8,7 @@ it reads and the versions of the libraries below.
 from __future__ import annotations
 
 import ast
+import functools
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -142,8 +143,13 @@ def _module_names(tree: ast.AST, path: Path) -> Iterator[str]:
 
 
 def _files(plugin: Plugin) -> set[Path]:
-    module = sys.modules[plugin.target.__module__]
-    return {Path(module.__file__)} if module.__file__ else set()
+    """Where the target is defined, and the user's file that names it (it may only pass it on)."""
+    target: Any = plugin.target
+    while isinstance(target, functools.partial):
+        target = target.func
+    file = getattr(sys.modules.get(target.__module__), "__file__", None)
+    own = plugin.traits.get("user_file")
+    return {Path(each) for each in (file, own) if each is not None}
 
 
 def _stamp(path: Path) -> tuple[int, int]:

@@ -57,5 +57,6 @@ def _model(target: Any, name: str) -> type[BaseModel]:
         # Their names are the plug-in author's: "model_" prefixes are no business of ours.
         config = ConfigDict(extra="forbid", protected_namespaces=(), arbitrary_types_allowed=True)
         return create_model(f"{name} parameters", __config__=config, **fields)
-    except (NameError, TypeError) as error:
-        raise UsageError(f"{name}: the annotations of its parameters cannot be read: {error}") from error
+    except Exception as error:
+        # Reading a signature evaluates what the author wrote there, and pydantic has errors of its own.
+        raise UsageError(f"{name}: its parameters cannot be read: {type(error).__name__}: {error}") from error
