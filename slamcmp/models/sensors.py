@@ -156,7 +156,8 @@ def cartesian_to_polar(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatA
     r2 = x * x + y * y
     r = np.sqrt(r2)
     D = np.stack([np.stack([x / r, y / r], -1), np.stack([-y / r2, x / r2], -1)], -2)
-    return np.stack([r, np.arctan2(y, x)], -1), D @ R @ np.swapaxes(D, -1, -2)
+    covariance = D @ R @ np.swapaxes(D, -1, -2)
+    return np.stack([r, np.arctan2(y, x)], -1), 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
 
 
 def make_sensor(name: str, parameters: Mapping[str, float]) -> SensorModel:
