@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import slamcmp.errors
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import MissingDataError, SlamcmpError
 from slamcmp.experiment.atomic import StorageError, storage_error
 from slamcmp.experiment.config import Experiment, load_experiment
 from slamcmp.experiment.content_key import versions
@@ -252,6 +252,7 @@ class _Schedule:
         self._stop = stop
         self._folder, self._workers, self._watcher = folder, workers, watcher
         self._stream_time_limit_s = experiment.stream_time_limit_s
+        self._one_stream = len({trial.stream.key for trial in plan.trials}) == 1
         self._several_trials = len(plan.trials) > 1
         share = machine_memory_mb() * MEMORY_SHARE / workers.slots
         self._memory_limit_mb = experiment.memory_limit_mb or share
@@ -350,8 +351,10 @@ class _Schedule:
         self.stream_faults[key] = message
         self.done += len(waiting)
         error_class = getattr(slamcmp.errors, kind, None)
-        if isinstance(error_class, type) and issubclass(error_class, SlamcmpError):
-            # What the user wrote or what lies on the disk is wrong: further trials would say the same.
+        told = isinstance(error_class, type) and issubclass(error_class, SlamcmpError)
+        # A file that is not there is missing for every trial, and the fault of an only stream is all there is
+        # to say. Settings that one grid point makes impossible cost that point only.
+        if told and (self._one_stream or issubclass(error_class, MissingDataError)):
             self.fatal = error_class(message)
         return message
 

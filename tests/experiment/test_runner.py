@@ -210,6 +210,21 @@ def test_missing_data_ends_the_experiment(write_experiment: Write, tmp_path: Pat
         run_experiment(path, folder=tmp_path / "r", jobs=1)
 
 
+def test_impossible_grid_point_costs_only_itself(write_experiment: Write, tmp_path: Path) -> None:
+    source = {"name": f"{PLUGINS}:only_even"}
+    path = write_experiment(
+        source=source, back_ends=["DeadReckoning"], sweep={"source.steps": [4, 5, 6]}, seeds=2
+    )
+    trials = run_experiment(path, folder=tmp_path / "r", jobs=1).trials
+    assert list(trials["status"]) == ["ok"] * 2 + ["crashed"] * 2 + ["ok"] * 2
+    assert set(trials["message"][2:4]) == {"no stream: steps is 5: an even number is needed"}
+    alone = write_experiment(source={**source, "steps": 5}, back_ends=["DeadReckoning", "Hindsight"])
+    with pytest.raises(UsageError, match="steps is 5: an even number is needed") as caught:
+        run_experiment(alone, folder=tmp_path / "alone", jobs=1)
+    assert caught.value.exit_code == 2
+    assert list(load_results(tmp_path / "alone").trials["status"]) == ["crashed"] * 2
+
+
 def test_streams_that_differ_are_never_compared(write_experiment: Write, tmp_path: Path) -> None:
     path = write_experiment(back_ends=["DeadReckoning", "Hindsight"])
     run_experiment(path, folder=tmp_path / "r", jobs=1)

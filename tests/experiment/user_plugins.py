@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slamcmp.errors import DivergedError, MissingDataError
+from slamcmp.errors import DivergedError, MissingDataError, UsageError
 from slamcmp.geometry import adjoint_of_inverse, se2
 from slamcmp.models.sensors import make_sensor
 from slamcmp.types import Detections, Estimate, GroundTruth, Landmarks, Log, Problem, Trajectory
@@ -36,6 +36,13 @@ def straight(seed: int, *, steps: int = 40, sigma_m: float = 0.01, truth: bool =
 def broken_source(seed: int) -> Log:
     """A source with a mistake in it."""
     raise ZeroDivisionError(f"seed {seed}")
+
+
+def only_even(seed: int, *, steps: int = 4) -> Log:
+    """A source that some settings are impossible for."""
+    if steps % 2:
+        raise UsageError(f"steps is {steps}: an even number is needed")
+    return straight(seed, steps=steps)
 
 
 def endless_source(seed: int) -> Log:
