@@ -121,7 +121,8 @@ def print_table(table: pd.DataFrame) -> None:
     columns = [[str(name), *map(_cell, table[name])] for name in table.columns]
     columns = [column for column in columns if set(column[1:]) - {"", EMPTY}]
     if len(table) <= UPRIGHT_ROWS:
-        blocks = [[list(row) for row in zip(*columns, strict=True)]]
+        upright = [list(row) for row in zip(*columns, strict=True)]
+        blocks = _blocks(upright[:1], upright[1:], console.width)
     else:
         # Everything up to "runs" names a row; it is repeated in every block.
         names = [column[0] for column in columns]

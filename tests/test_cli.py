@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import slamcmp
-from slamcmp.cli_run import _blocks
+from slamcmp.cli_run import _blocks, print_table
 from slamcmp.experiment.store import load_results
 from slamcmp.frontend.stream_file import load_stream
 
@@ -250,3 +250,12 @@ def test_wide_tables_are_cut_into_blocks_that_fit() -> None:
     columns = [[name * 8, "1"] for name in "abcd"]
     blocks = _blocks(keys, columns, width=30)
     assert [[column[0][0] for column in block] for block in blocks] == [["l", "a", "b"], ["l", "c", "d"]]
+
+
+def test_upright_tables_keep_their_headings_in_every_block(capsys: pytest.CaptureFixture[str]) -> None:
+    table = pd.DataFrame({"back end": ["a" * 60, "b" * 60, "c" * 60], "runs": [1, 2, 3]})
+    print_table(table)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines == [
+        ["back", "end", "a" * 60, "b" * 60], ["runs", "1", "2"], ["back", "end", "c" * 60], ["runs", "3"],
+    ]  # fmt: skip

@@ -118,7 +118,7 @@ def _healthy_but_far(results: Results) -> Caution | None:
         where = point_name(point)
         name = f"{label}{f' at {where}' if where else ''}: NIS/dof {healthy['nis_per_dof'].median():.2f}"
         told = [
-            f"the {what} typically {far.median():.1f} of its own standard deviations away "
+            f"the {what} typically {far.median():.1f} of the claimed standard deviations away "
             f"({far.size} of {len(own)} runs)"
             for what, distances in (("online position is", position), ("last map's landmarks are", in_map))
             if (far := _far(healthy["trial"], label, distances)).size

@@ -100,10 +100,15 @@ def terminal_table(results: Results) -> pd.DataFrame:
 
     Failure rates stand beside the counts as soon as there are enough runs to speak of a rate.
     """
+
+    def short(text: str) -> str:
+        return text.replace(" to ", "–")
+
     table = summary_table(results)
     groups = [own for _, _, own in runs_by_point(results)]
     if max((len(own) for own in groups), default=0) >= ENOUGH_SEEDS:
-        table.insert(list(table.columns).index("failed") + 1, "failed (95 %)", [*map(failure_rate, groups)])
+        rates = [short(failure_rate(own)) for own in groups]
+        table.insert(list(table.columns).index("failed") + 1, "failed (95 %)", rates)
     column = next((c for c in summary_columns(results) if c.name.endswith("_ate")), None)
     if column is None:
         return table
@@ -111,11 +116,11 @@ def terminal_table(results: Results) -> pd.DataFrame:
     worst = [worst_run(own, column.name) for own in groups]
     if len(results.trials) > len(groups):
         texts = [
-            number_text(value) + (f" (seed {seed})" if seed else "") if value == value else ""
+            number_text(value) + (f" ({seed})" if seed else "") if value == value else ""
             for value, seed in worst
         ]
-        table.insert(where, "  worst run", texts)
-    intervals = [interval_text(row[column.full_header]) for row in summary_intervals(results)]
+        table.insert(where, "  worst run (seed)", texts)
+    intervals = [short(interval_text(row[column.full_header])) for row in summary_intervals(results)]
     table.insert(where, "  95 % of median", intervals)
     return table
 

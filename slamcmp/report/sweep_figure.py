@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slamcmp.experiment.store import Results
+from slamcmp.metrics.statistics import median_interval
 from slamcmp.registry import figures
 from slamcmp.report import style
 from slamcmp.report.selection import (
@@ -40,7 +42,8 @@ DODGE = 0.012
     title="Sweep",
     needs=("trials: at least one swept path with two values",),
     caption=(
-        "Median over the finished runs of each grid point, with the quartiles as bars. Dashed: online "
+        "Median over the finished runs of each grid point; thin bars: quartiles of the runs, thick pale ones "
+        "(from six runs on): 95 % interval of the median. Dashed: online "
         "(causal); solid: final (hindsight). Time: updates and estimates of the online answer. Numbers at "
         "the top of the first panel count failed runs, which are in no median."
     ),
@@ -87,6 +90,15 @@ def quartiles_by(rows: pd.DataFrame, path: str, column: str) -> pd.DataFrame:
     return ok.groupby(path, sort=False)[column].quantile(np.array([0.25, 0.5, 0.75])).unstack()
 
 
+def median_bounds(
+    rows: pd.DataFrame, path: str, column: str, values: Sequence[Any]
+) -> tuple[list[float], list[float]]:
+    """Bounds of each median's 95 % interval over the finished runs; NaN below six runs."""
+    ok = rows[rows["status"] == "ok"]
+    found = [median_interval(ok[ok[path] == value][column].astype(float)) for value in values]
+    return [each.low for each in found], [each.high for each in found]
+
+
 def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, metric: str) -> None:
     positions = _positions(rows[path])
     drawn: list[Any] = []
@@ -111,6 +123,10 @@ def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, me
                 elinewidth=0.9,
                 marker=marker,
                 markersize=4.5,
+            )
+            low, high = median_bounds(own, path, column, list(table.index))
+            axes.vlines(
+                [x[value] for value in table.index], low, high, color=colour, alpha=0.3, linewidth=4.5
             )
             drawn.append(table.to_numpy(dtype=float).ravel())
     if drawn:

@@ -178,6 +178,11 @@ def test_sweep_draws_medians_of_finished_runs_and_counts_the_failed(swept):
     np.testing.assert_allclose(np.asarray(ate.lines[0].get_ydata(), dtype=float), expected)
     bar = ate.collections[0].get_segments()[2]
     assert bar[1, 1] == pytest.approx(ok[ok["source.range_sigma_m"] == 2.0]["online_ate"].quantile(0.75))
+    # The interval of six runs goes from the smallest to the largest; four runs have none.
+    bounds, _, few = ate.collections[1].get_segments()
+    least = ok[ok["source.range_sigma_m"] == 0.5]["online_ate"]
+    assert tuple(bounds[:, 1]) == (least.min(), least.max())
+    assert len(few) == 0
     assert [text.get_text() for text in ate.texts] == ["2 failed"]
     # The filter has no final line; both smoothers have one.
     assert [line.get_linestyle() for line in ate.lines] == ["--", "--", "-", "--", "-"]

@@ -150,7 +150,7 @@ def test_caution_for_a_map_that_is_off_while_the_pose_is_not(swept):
     landmarks = results.landmarks.assign(P_xx=0.01, P_xy=0.0, P_yy=0.01)
     landmarks = landmarks.assign(x=landmarks["true_x"] + 0.4, y=landmarks["true_y"])
     text = healthy_caution(dataclasses.replace(results, landmarks=landmarks))
-    assert "the last map's landmarks are typically 4.0 of its own standard deviations away" in text
+    assert "the last map's landmarks are typically 4.0 of the claimed standard deviations away" in text
     assert "online position" not in text
 
 
@@ -203,15 +203,15 @@ def test_terminal_table_shows_interval_and_worst_run(swept, one_trial):
     table = terminal_table(swept)
     names = list(table.columns)
     where = names.index("online ATE [m]")
-    assert names[where + 1 : where + 3] == ["  95 % of median", "  worst run"]
+    assert names[where + 1 : where + 3] == ["  95 % of median", "  worst run (seed)"]
     row = table[(table["back end"] == "isam2") & (table["source.range_sigma_m"] == 1.0)].iloc[0]
     ate = swept.trials[
         (swept.trials["label"] == "isam2") & (swept.trials["source.range_sigma_m"] == 1.0)
     ].set_index("seed")["online_ate"]
-    assert row["  95 % of median"] == f"{number_text(ate.min())} to {number_text(ate.max())}"
-    assert row["  worst run"] == f"{number_text(ate.max())} (seed {ate.idxmax()})"
-    assert row["failed (95 %)"] == "0 % (0 to 39 %)"
-    assert "  worst run" not in terminal_table(one_trial).columns
+    assert row["  95 % of median"] == f"{number_text(ate.min())}–{number_text(ate.max())}"
+    assert row["  worst run (seed)"] == f"{number_text(ate.max())} ({ate.idxmax()})"
+    assert row["failed (95 %)"] == "0 % (0–39 %)"
+    assert "  worst run (seed)" not in terminal_table(one_trial).columns
 
 
 def test_page_shows_intervals_the_search_and_the_faults(swept):
