@@ -60,6 +60,8 @@ def planar_world(name: str, **defaults: Any) -> Callable[[Builder], Source]:
             )
             streams = random_streams(seed)
             path_generator, map_generator = streams.world.spawn(2)
+            if settings.map_seed is not None:
+                map_generator = np.random.default_rng(settings.map_seed)
             chosen = {key: value for key, value in parameters.items() if key in own}
             world = build(settings, path_generator, map_generator, **chosen)
             return simulate(name, world, settings, streams)
@@ -88,7 +90,8 @@ def circle(
     """Round and round on a circle, landmarks evenly on a ring or at random on both sides of the path.
 
     ``ring`` stands ``ring_offset_m`` outside the path; ``annulus`` draws a distance between
-    ``annulus_min_m`` and ``annulus_max_m`` from the path, outside or inside with equal chance.
+    ``annulus_min_m`` and ``annulus_max_m`` from the path, outside or inside with equal chance; on a path
+    of a smaller radius than that, inside goes on beyond the centre.
     """
     turn = math.radians(settings.turn_deg_s)
     radius = settings.speed_m_s / turn
@@ -100,7 +103,7 @@ def circle(
         draws = map_generator.random((settings.landmarks, 3))
         angles = 2 * math.pi * draws[:, 0]
         gaps = annulus_min_m + (annulus_max_m - annulus_min_m) * draws[:, 1]
-        distances = np.where(draws[:, 2] < 0.5, radius + gaps, np.abs(radius - gaps))
+        distances = np.where(draws[:, 2] < 0.5, radius + gaps, radius - gaps)
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return World(controls, np.array([0.0, radius]) + distances[:, None] * directions)
 

@@ -28,6 +28,8 @@ class Settings:
     """Frames, the first one included."""
     time_step_s: Positive = 1.0
     landmarks: Annotated[int, Ge(1)] = 40
+    map_seed: Annotated[int, Ge(0)] | None = None
+    """The landmarks' own seed: one map for all trials, as published studies have it; None: a map a seed."""
     speed_m_s: Positive = 1.0
     turn_deg_s: Positive = 6.0
     """Turn rate in bends: with the speed it sets their radius."""
@@ -42,6 +44,9 @@ class Settings:
     range_max_m: Positive = 8.0
     field_of_view_deg: Annotated[float, Interval(gt=0, le=360)] = 360.0
     """Full angle, centred on the direction of travel."""
+    first_look: Annotated[int, Ge(0)] = 0
+    """The first frame with detections; 1: the robot moves before it looks, as in published simulators. A look
+    from an exactly known start ties the map's heading to the world and halves every error."""
     outlier_fraction: Annotated[float, Interval(ge=0, le=1)] = 0.0
     """Share of the detections that are replaced by a uniform draw from the field of view."""
 
@@ -51,6 +56,9 @@ class Settings:
     """For ``unicycle`` and ``straight_then_turn``; 0 gives a known heading."""
     lateral_sigma_m: NotNegative = 0.005
     """Side slip a step; keeps Q positive definite, which factor graphs need."""
+    process_substeps: Annotated[int, Ge(1)] = 1
+    """Parts of a step with noise of their own, of the same total: from 2 on Q has full rank without side
+    slip."""
     steering_sigma_deg: NotNegative = 0.5
     """For ``bicycle``."""
     wheelbase_m: Positive = 2.0

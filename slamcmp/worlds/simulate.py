@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
-from slamcmp.geometry import dead_reckoning, exp, se2_coordinates, wrap
+from slamcmp.geometry import adjoint_of_inverse, dead_reckoning, exp, se2_coordinates, wrap
 from slamcmp.models.motion import Bicycle, MotionModel, StraightThenTurn, Unicycle, WheelEncoders
 from slamcmp.models.sensors import make_sensor
 from slamcmp.protocols import SensorModel
@@ -46,7 +46,11 @@ def simulate(name: str, world: World, settings: Settings, streams: RandomStreams
     vehicle = _Vehicle(settings)
     truth_controls = vehicle.controls(world.controls)
     dt = settings.time_step_s
-    true_increments = np.concatenate([np.eye(3)[None], vehicle.model.increment(truth_controls, dt)])
+    part = vehicle.model.increment(vehicle.part_of(truth_controls), dt / settings.process_substeps)
+    step = part
+    for _ in range(settings.process_substeps - 1):
+        step = step @ part
+    true_increments = np.concatenate([np.eye(3)[None], step])
     poses = dead_reckoning(np.eye(3), true_increments)
 
     increments, covariances = _odometry(vehicle, truth_controls, settings, step_noise)
@@ -93,7 +97,11 @@ class _Vehicle:
                 f"odometry is {settings.odometry!r}; "
                 "unicycle, straight_then_turn, bicycle or encoders is needed"
             )
-        self.sigmas = settings.noise_scale * np.array(sigmas)
+        parts = settings.process_substeps
+        # A rate's noise acts for dt / parts, a distance's as it is: both sum to the variance of a whole step.
+        share = 1 / math.sqrt(parts) if settings.odometry == "encoders" else math.sqrt(parts)
+        self.sigmas = settings.noise_scale * share * np.array(sigmas)
+        """Of the controls of one part of a step."""
 
     def controls(self, speed_and_turn: FloatArray) -> FloatArray:
         """The model's own controls (K-1, 2) for speed [m/s] and turn rate [rad/s]."""
@@ -105,23 +113,37 @@ class _Vehicle:
             return np.stack([(speed - turn * half) * dt, (speed + turn * half) * dt], axis=-1)
         return speed_and_turn
 
+    def part_of(self, controls: FloatArray) -> FloatArray:
+        """The controls of one of a step's equal parts; rates stay, wheels roll a share of the way."""
+        return (
+            controls / self._settings.process_substeps if self._settings.odometry == "encoders" else controls
+        )
+
 
 def _odometry(
     vehicle: _Vehicle, true_controls: FloatArray, settings: Settings, generator: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Noisy increments (K, 3, 3) and their covariances (K, 3, 3) in the body tangent."""
-    steps = len(true_controls)
+    steps, parts = len(true_controls), settings.process_substeps
+    part_s = settings.time_step_s / parts
     draws = generator.standard_normal((steps, 3))
+    # Drawn last, so that parts leave the other numbers as they are.
+    part_draws = [draws[:, :2], *generator.standard_normal((parts - 1, steps, 2))]
     lateral = settings.noise_scale * settings.lateral_sigma_m
-    measured = true_controls + vehicle.sigmas * draws[:, :2]
     slip = np.zeros((steps, 3))
     slip[:, 1] = lateral * draws[:, 2]
-    noisy = vehicle.model.increment(measured, settings.time_step_s) @ exp(slip)
-    jacobian = _rounded(vehicle.model.jacobian(measured, settings.time_step_s), settings.resolution)
     increments, covariances = np.tile(np.eye(3), (steps + 1, 1, 1)), np.zeros((steps + 1, 3, 3))
-    # Sums of products, one by one, give the same bits on every machine; a matrix product does not.
-    for sigma, column in zip(vehicle.sigmas, np.moveaxis(jacobian, -1, 0), strict=True):
-        covariances[1:] += sigma**2 * (column[:, :, None] * column[:, None, :])
+    noisy = np.tile(np.eye(3), (steps, 1, 1))
+    for part_draw in reversed(part_draws):
+        measured = vehicle.part_of(true_controls) + vehicle.sigmas * part_draw
+        # In the tangent at the end of the step, which the later parts have moved.
+        jacobian = adjoint_of_inverse(noisy) @ vehicle.model.jacobian(measured, part_s)
+        jacobian = _rounded(jacobian, settings.resolution)
+        # Sums of products, one by one, give the same bits on every machine; a matrix product does not.
+        for sigma, column in zip(vehicle.sigmas, np.moveaxis(jacobian, -1, 0), strict=True):
+            covariances[1:] += sigma**2 * (column[:, :, None] * column[:, None, :])
+        noisy = vehicle.model.increment(measured, part_s) @ noisy
+    noisy = noisy @ exp(slip)
     covariances[1:, 1, 1] += lateral**2
     for k, (x, y, theta) in enumerate(_rounded(se2_coordinates(noisy), settings.resolution), start=1):
         # math.cos comes from the platform's libm; numpy's own depends on the processor's vector width.
@@ -146,11 +168,12 @@ def _detect(
     low = np.array([settings.range_min_m, -half_view])
     high = np.array([settings.range_max_m, half_view])
     detections, masks = [], []
-    for T in poses:
+    for k, T in enumerate(poses):
         noise = streams.sensor.standard_normal(landmarks.shape)
         luck = streams.outliers.random((len(landmarks), 3))
         geometry = polar.predict(T, landmarks)
         seen = (geometry >= low).all(axis=1) & (geometry <= high).all(axis=1)
+        seen &= k >= settings.first_look
         readings = sensor.predict(T, landmarks) + sigmas * noise
         wild = luck[:, 0] < settings.outlier_fraction
         false = low + (high - low) * luck[:, 1:]

@@ -168,6 +168,52 @@ def test_odometry_noise_has_the_covariance_it_states(odometry):
     assert abs((whitened[:, 0] * whitened[:, 1]).mean()) < bound
 
 
+@pytest.mark.parametrize("odometry", ODOMETRY)
+def test_parts_of_a_step_give_full_rank_and_the_covariance_they_state(odometry):
+    log = make(
+        "random",
+        odometry=odometry,
+        steps=3001,
+        landmarks=1,
+        noise_scale=0.01,
+        lateral_sigma_m=0.0,
+        process_substeps=3,
+        resolution=0.0,
+    )
+    errors = odometry_errors(log)
+    low, high = chi2_bounds(len(errors))
+    whitened = np.linalg.solve(np.linalg.cholesky(log.Q[1:]), errors[..., None])[..., 0]
+    for axis in range(3):
+        assert low < np.sum(whitened[:, axis] ** 2) < high
+
+
+def test_parts_of_a_step_keep_its_total_variance():
+    """Straight ahead, speed and turn noise of the parts add up to those of one step."""
+    whole, parts = (
+        make("corridor", steps=3, speed_sigma_m_s=0.2, turn_sigma_deg_s=1.0, process_substeps=count)
+        for count in (1, 4)
+    )
+    diagonals = np.diagonal(parts.Q[1], axis1=0, axis2=1), np.diagonal(whole.Q[1], axis1=0, axis2=1)
+    np.testing.assert_allclose(diagonals[0][[0, 2]], diagonals[1][[0, 2]], rtol=1e-2)
+    assert diagonals[0][1] > 1.5 * diagonals[1][1]
+
+
+def test_a_map_seed_fixes_the_map_and_nothing_else():
+    first, second = (make("random", seed=seed, map_seed=2026, steps=30) for seed in (1, 2))
+    np.testing.assert_array_equal(first.truth.positions, second.truth.positions)
+    assert not np.array_equal(first.T_prev_body, second.T_prev_body)
+    free = make("random", seed=1, steps=30)
+    np.testing.assert_array_equal(first.T_prev_body, free.T_prev_body)
+    assert not np.array_equal(first.truth.positions, free.truth.positions)
+
+
+def test_the_sensor_looks_from_the_first_look_on():
+    late, always = make("circle", first_look=3, steps=10), make("circle", steps=10)
+    assert [seen.ids.size for seen in late.detections[:3]] == [0, 0, 0]
+    for seen, full in zip(late.detections[3:], always.detections[3:], strict=True):
+        np.testing.assert_array_equal(seen.z, full.z)
+
+
 def test_odometry_covariance_knows_only_what_was_measured():
     """Q belongs to the noisy controls, which the increment gives away where there is no side slip."""
     log = make("random", steps=50, lateral_sigma_m=0.0, speed_sigma_m_s=0.2, turn_sigma_deg_s=10.0)
