@@ -28,6 +28,8 @@ def enter_private_root(readable: Readable, mount_point: str) -> None:
     Raises:
         OSError: no right to mount (a container), or a kernel before 5.12.
     """
+    # The folders made here are passed through by a user without rights, whatever the staff's umask is.
+    os.umask(0o022)
     flags = _CLONE_NEWNS | _CLONE_NEWIPC
     _checked(kernel.libc.unshare(flags), "unshare")
     _mount(None, "/", None, _MS_REC | _MS_PRIVATE)

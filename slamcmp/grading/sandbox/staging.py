@@ -40,7 +40,9 @@ class Staging:
         self.targets = Targets(str(private / "canary"), str(public / "canary"), str(writable), os.getpid())
         for name, content in files.items():
             path = self.submission / name
-            path.parent.mkdir(parents=True, exist_ok=True)
+            for folder in reversed(path.parents[: len(path.relative_to(self.submission).parts) - 1]):
+                folder.mkdir(exist_ok=True)
+                folder.chmod(0o755)
             self._write(path, content, 0o444)
         if group is not None:
             os.chown(self.submission, 0, group)
