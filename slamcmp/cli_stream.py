@@ -38,7 +38,7 @@ def save(
     if trial >= len(trials):
         raise UsageError(f"--trial {trial}: the experiment has trials 0 to {len(trials) - 1}")
     job = trials[trial].stream
-    choices = [(choice.spec, choice.parameters) for choice in (job.source, job.front_end)]
+    choices = [(choice.spec, choice.arguments()) for choice in (job.source, job.front_end)]
     stream, _ = make_stream(choices[0], choices[1], job.seed)
     try:
         save_stream(stream, out)

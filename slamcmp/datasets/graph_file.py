@@ -18,7 +18,7 @@ def _files(*, path: str, **_: Any) -> list[Path]:
     return [find_file(path)]
 
 
-@sources.register("graph_file", seeded=False, files=_files)
+@sources.register("graph_file", seeded=False, files=_files, paths=("path",))
 def graph_file(
     seed: int = 0,  # noqa: ARG001
     *,
@@ -32,7 +32,8 @@ def graph_file(
 ) -> Log:
     """A .graph or .g2o file with landmarks, or a pose graph whose revisited poses become place landmarks.
 
-    ``path`` is a file, or the name of one in the gtsam wheel (``w100.graph``). What a pose graph loses on
+    ``path`` is a file, seen from the experiment file's folder or else from the working directory, or the name
+    of one in the gtsam wheel (``w100.graph``). What a pose graph loses on
     the way is told in :mod:`slamcmp.datasets.graph`.
 
     Raises:

@@ -35,4 +35,11 @@ def find_file(path: str) -> Path:
         MissingDataError: neither exists.
     """
     own = Path(path).expanduser()
-    return own if own.is_file() else wheel_file(path)
+    if own.is_file():
+        return own
+    if own.is_absolute():
+        raise MissingDataError(f"{path}: there is no such file")
+    try:
+        return wheel_file(path)
+    except MissingDataError as error:
+        raise MissingDataError(f"{error}; nor in the working directory {Path.cwd()}") from error

@@ -73,10 +73,25 @@ class Choice:
     """Every parameter, defaults filled in, as plain JSON values."""
     label: str = ""
     """Of a back end, unique within its experiment."""
+    folder: Path | None = None
+    """Of the experiment file: its relative paths start there."""
 
     def plugin(self) -> Plugin:
         """The registered class or function."""
         return REGISTRIES[self.kind].get(self.spec)
+
+    def arguments(self) -> dict[str, Any]:
+        """The parameters, with the path of each data file that lies beside the experiment file made absolute.
+
+        :attr:`parameters` keep it as it was written: results say what the user said.
+        """
+        values = dict(self.parameters)
+        for name in self.plugin().traits.get("paths", ()):
+            if self.folder is not None and isinstance(values.get(name), str):
+                beside = self.folder / Path(values[name]).expanduser()
+                if beside.is_file():
+                    values[name] = str(beside.resolve())
+        return values
 
     def with_parameter(self, name: str, value: Any) -> Choice:
         """The same with one parameter changed."""
@@ -264,7 +279,7 @@ class _Checker:
             known: dict[KeyPath, Any] = {path: [*model.model_fields, *reserved]}
             self._errors.add_pydantic(error.errors(), path, known)
             parameters = {}
-        return Choice(kind, plugin.name, spec, parameters, label or default_label)
+        return Choice(kind, plugin.name, spec, parameters, label or default_label, self._folder)
 
     def labels(self, chosen: Sequence[Choice | None]) -> None:
         first: dict[str, int] = {}

@@ -85,7 +85,13 @@ def data_digests(source: Choice) -> dict[str, str]:
     files = plugin.traits.get("files")
     if files is None:
         return {}
-    paths: Iterable[Path] = files(**bind_parameters(plugin, dict(source.parameters)))
+    try:
+        paths: Iterable[Path] = files(**bind_parameters(plugin, source.arguments()))
+    except MissingDataError as error:
+        if source.folder is None or not plugin.traits.get("paths"):
+            raise
+        folder = source.folder.resolve()
+        raise MissingDataError(f"{error}; looked beside the experiment file first, in {folder}") from error
     digests = {}
     for path in map(Path, paths):
         if not path.is_file():

@@ -297,7 +297,7 @@ class _Schedule:
 
     def _start(self, job: StreamJob | RunJob) -> None:
         if isinstance(job, StreamJob):
-            plugins = tuple((each.spec, dict(each.parameters)) for each in (job.source, job.front_end))
+            plugins = tuple((each.spec, each.arguments()) for each in (job.source, job.front_end))
             limit = self._stream_time_limit_s
             task, frames = Task("stream", job.key, self._folder, plugins, job.seed, time_limit_s=limit), 0
         else:
@@ -350,11 +350,10 @@ class _Schedule:
         ended.task.result.unlink(missing_ok=True)
         self.stream_faults[key] = message
         self.done += len(waiting)
-        error_class = getattr(slamcmp.errors, kind, None)
-        told = isinstance(error_class, type) and issubclass(error_class, SlamcmpError)
+        error_class = _error_class(kind)
         # A file that is not there is missing for every trial, and the fault of an only stream is all there is
         # to say. Settings that one grid point makes impossible cost that point only.
-        if told and (self._one_stream or issubclass(error_class, MissingDataError)):
+        if error_class is not None and (self._one_stream or issubclass(error_class, MissingDataError)):
             self.fatal = error_class(message)
         return message
 
@@ -410,6 +409,12 @@ class _Schedule:
     def _last_words(self, task: Task) -> str:
         log = self._folder / "logs" / f"{task.key}.log"
         return f"; its output is in {log}" if log.is_file() and log.stat().st_size else ""
+
+
+def _error_class(name: str) -> type[SlamcmpError] | None:
+    """The class of our own errors of that name."""
+    found = getattr(slamcmp.errors, name, None)
+    return found if isinstance(found, type) and issubclass(found, SlamcmpError) else None
 
 
 def _add_note(task: Task, note: str) -> None:

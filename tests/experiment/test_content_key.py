@@ -9,6 +9,7 @@ import pytest
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config import load_experiment
 from slamcmp.experiment.content_key import PACKAGE, code_version, import_closure
+from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.trials import make_trials
 from slamcmp.registry import sources
 
@@ -74,3 +75,30 @@ def test_keys_follow_the_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     data.unlink()
     with pytest.raises(MissingDataError, match=r"log\.txt"):
         keys(path)
+
+
+def test_graph_file_is_found_beside_the_experiment_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beside, here = tmp_path / "experiments", tmp_path / "here"
+    for folder, x in ((beside, "1"), (here, "2")):
+        (folder / "data").mkdir(parents=True)
+        (folder / "data" / "my.g2o").write_text(f"EDGE_SE2 0 1 {x} 0 0 1 0 0 1 0 1\n")
+    monkeypatch.chdir(here)
+    path = beside / "e.yaml"
+    path.write_text("source: {name: graph_file, path: data/my.g2o}\nback_ends: [{name: ekf_slam}]\n")
+    first = load_experiment(path).source
+    assert first.parameters["path"] == "data/my.g2o"
+    assert first.arguments()["path"] == str(beside / "data" / "my.g2o")
+    assert run_experiment(path, folder=tmp_path / "r", jobs=1).frames["online_x"][1] == 1.0
+    in_both = keys(path)
+    (beside / "data" / "my.g2o").unlink()
+    assert keys(path) != in_both
+    assert run_experiment(path, folder=tmp_path / "r", jobs=1).frames["online_x"][1] == 2.0
+    (here / "data" / "my.g2o").unlink()
+    with pytest.raises(MissingDataError) as caught:
+        keys(path)
+    for place in (beside, here, "gtsam/Data"):
+        assert str(place) in str(caught.value)
+    path.write_text("source: {name: graph_file, path: w100.graph}\nback_ends: [{name: ekf_slam}]\n")
+    assert len(keys(path)[1]) == 1
