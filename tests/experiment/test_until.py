@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from slamcmp.errors import UsageError
+from slamcmp.experiment import runner
 from slamcmp.experiment.config import load_experiment
 from slamcmp.experiment.runner import plan_experiment, run_experiment
 from slamcmp.experiment.schema import experiment_schema
@@ -124,6 +125,33 @@ def test_seeds_are_added_until_the_interval_is_narrow(write_experiment: Write, t
     assert (more.manifest["jobs_run"], more.manifest["until"]["seeds"]) == (3 * 4, count + 4)
     assert more.manifest["until"]["reached"] is False
     assert "intervals are too wide" in more.manifest["until"]["reason"]
+
+
+def test_an_interrupted_search_goes_on_where_it_was(
+    write_experiment: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = sweep_of(write_experiment, half_width=1e-6, max_seeds=12)
+    finish = runner._Schedule._finish
+    ended = []
+
+    def interrupt_in_the_second_round(self, how) -> None:
+        finish(self, how)
+        ended.append(how)
+        if len(ended) == 3 * 6 + 4:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(runner._Schedule, "_finish", interrupt_in_the_second_round)
+        with pytest.raises(runner.Interrupted):
+            run_experiment(path, folder=tmp_path / "r", jobs=1)
+    about = load_results(tmp_path / "r").manifest
+    assert (about["until"]["reached"], about["until"]["reason"]) == (False, "interrupted")
+    assert (about["jobs_run"], about["jobs_missing"]) == (3 * 6 + 4, 3 * 6 - 4)
+    rest = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert rest.manifest["jobs_run"] == 3 * 6 - 4
+    assert rest.manifest["until"]["seeds"] == 12
+    fresh = run_experiment(path, folder=tmp_path / "fresh", jobs=1)
+    assert fresh.manifest["until"] == rest.manifest["until"]
 
 
 def test_failing_runs_are_tried_once_a_session(write_experiment: Write, tmp_path: Path) -> None:
