@@ -1,0 +1,45 @@
+"""Kind "invariance": identities that the right equations keep, whatever the numbers are."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from annotated_types import Gt
+
+from slamcmp.grading.scoring import log_linear
+from slamcmp.grading.trial import Trial, Verdict
+from slamcmp.registry import test_kinds
+
+
+@test_kinds.register("invariance")
+def invariance(
+    trial: Trial,
+    *,
+    procedure: str,
+    full: Annotated[float, Gt(0)] = 1e-8,
+    zero: Annotated[float, Gt(0)] = 1e-2,
+) -> Verdict:
+    """Run a procedure that answers with residuals which should vanish.
+
+    Args:
+        trial: what is tested.
+        procedure: ``name(implementation, generator) -> dict[statement, residual]`` of ``cases.py``; every
+            statement, a sentence that ought to be true, weighs the same.
+        full: residual up to which a statement counts as true.
+        zero: residual from which it counts nothing.
+    """
+    residuals: dict[str, float] = trial.procedure(procedure)(trial.student, trial.seeded())
+    shares = {what: log_linear(float(size), full, zero) for what, size in residuals.items()}
+    lines = [
+        f"This should hold, but {_by(residuals[what])}: {what}."
+        for what, share in shares.items()
+        if share < 1
+    ]
+    return Verdict(
+        sum(shares.values()) / len(shares), "\n".join(lines) or f"All hold: {'; '.join(residuals)}."
+    )
+
+
+def _by(size: float) -> str:
+    return f"is off by {size:.3g}" if math.isfinite(size) else "gives numbers that are not finite"
