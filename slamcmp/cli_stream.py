@@ -27,7 +27,6 @@ def save(
 ) -> None:
     """Make the stream that every back end of a trial gets, and store it."""
     from slamcmp.errors import UsageError
-    from slamcmp.experiment.atomic import storage_error
     from slamcmp.experiment.config import load_experiment
     from slamcmp.experiment.shipped import find_experiment
     from slamcmp.experiment.trials import make_trials
@@ -40,10 +39,7 @@ def save(
     job = trials[trial].stream
     choices = [(choice.spec, choice.arguments()) for choice in (job.source, job.front_end)]
     stream, _ = make_stream(choices[0], choices[1], job.seed)
-    try:
-        save_stream(stream, out)
-    except OSError as error:
-        raise storage_error(out, error) from error
+    save_stream(stream, out)
     print(f"{out}: {len(stream.frames)} frames, digest {stream.digest}")
 
 

@@ -27,3 +27,7 @@ class DataError(UsageError):
 
 class DivergedError(SlamcmpError):
     """A back end's own result is not usable: non-finite, indefinite, or in a wrong basin."""
+
+
+class StorageError(SlamcmpError):
+    """A result could not be written; what was written before is intact."""

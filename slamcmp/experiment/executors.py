@@ -210,7 +210,7 @@ def _work(task: Task, heartbeat: MutableSequence[float]) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_follow, args=(parent,), daemon=True).start()
-    from slamcmp.experiment.atomic import StorageError
+    from slamcmp.errors import StorageError
     from slamcmp.experiment.memory import limit_growth
     from slamcmp.experiment.worker import perform
 

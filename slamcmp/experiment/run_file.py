@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from slamcmp.experiment.atomic import write_atomically
+from slamcmp.atomic import write_atomically
 from slamcmp.types import GroundTruth, Landmarks, Run, Trajectory
 
 RUN_FORMAT = "slamcmp-run-1"

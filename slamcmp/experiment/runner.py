@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import slamcmp.errors
-from slamcmp.errors import MissingDataError, SlamcmpError
-from slamcmp.experiment.atomic import StorageError, storage_error
+from slamcmp.atomic import storage_error
+from slamcmp.errors import MissingDataError, SlamcmpError, StorageError
 from slamcmp.experiment.config import Experiment, load_experiment
 from slamcmp.experiment.content_key import versions
 from slamcmp.experiment.executors import Ended, Executor

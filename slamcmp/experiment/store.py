@@ -19,8 +19,8 @@ from typing import Any
 import pandas as pd
 import pyarrow
 
+from slamcmp.atomic import storage_error, write_atomically
 from slamcmp.errors import DataError, MissingDataError, UsageError
-from slamcmp.experiment.atomic import storage_error, write_atomically
 
 TABLES = ("trials", "frames", "landmarks")
 MANIFEST = "manifest.json"

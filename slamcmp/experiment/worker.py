@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.errors import SlamcmpError, UsageError
-from slamcmp.experiment.atomic import storage_error
 from slamcmp.experiment.plugin_models import bind_parameters
 from slamcmp.experiment.run_back_end import describe, run_back_end
 from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_truth, save_run, save_truth
@@ -104,12 +103,7 @@ def _make_stream(task: Task) -> None:
         text = str(error) if isinstance(error, SlamcmpError) else describe(error)
         save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
         return
-    path = stream_path(task.folder, stream.digest)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_stream(stream, path)
-    except OSError as error:
-        raise storage_error(path, error) from error
+    save_stream(stream, stream_path(task.folder, stream.digest))
     totals = {} if stream.report is None else stream.report.totals()
     save_truth(StoredTruth(stream.digest, len(stream.frames), truth, totals), task.result)
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from slamcmp.atomic import write_atomically
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
 from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem
@@ -17,7 +17,11 @@ FORMAT = "slamcmp-stream-1"
 
 
 def save_stream(stream: MeasurementStream, path: Path | str) -> None:
-    """Write the stream to ``path`` atomically (an interrupted write leaves the old file)."""
+    """Write the stream to ``path`` atomically (an interrupted write leaves the old file).
+
+    Raises:
+        StorageError: the disk is full or the folder cannot be written.
+    """
     path = Path(path)
     frames, sensor = stream.frames, stream.problem.sensor
     header = {
@@ -43,13 +47,7 @@ def save_stream(stream: MeasurementStream, path: Path | str) -> None:
         arrays["counts"] = stream.report.counts
         arrays["kept_size"] = np.array([mask.size for mask in stream.report.kept])
         arrays["kept"] = np.concatenate(stream.report.kept)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_atomically(path, lambda file: np.savez_compressed(file, **arrays))
 
 
 def load_stream(path: Path | str) -> MeasurementStream:

@@ -11,6 +11,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from slamcmp.atomic import write_atomically
 from slamcmp.experiment.store import Results
 from slamcmp.registry import figures
 from slamcmp.report import style
@@ -52,9 +53,9 @@ def draw_figures(
 
     Raises:
         UsageError: a name is not a registered figure.
+        StorageError: the disk is full or the folder cannot be written.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     files = FigureFiles()
     for drawn in each_figure(results, names):
         if drawn.figure is None:
@@ -62,7 +63,8 @@ def draw_figures(
             continue
         for file_format in formats:
             path = folder / f"{drawn.name}.{file_format}"
-            path.write_bytes(figure_bytes(drawn.figure, file_format))
+            content = figure_bytes(drawn.figure, file_format)
+            write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
             files.append(path)
     return files
 

@@ -13,6 +13,7 @@ import jinja2
 import numpy as np
 import pandas as pd
 
+from slamcmp.atomic import write_atomically
 from slamcmp.experiment.store import Results
 from slamcmp.report.cautions import cautions
 from slamcmp.report.certainty import certainty_table
@@ -52,12 +53,14 @@ class ReportFigure:
 
 
 def write_report(results: Results, path: Path | str) -> Path:
-    """Write the report of a results folder to ``path`` and return it."""
+    """Write the report of a results folder to ``path`` and return it.
+
+    Raises:
+        StorageError: the disk is full or the folder cannot be written; an older report is untouched.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(report_html(results), encoding="utf-8")
-    temporary.replace(path)
+    page = report_html(results).encode()
+    write_atomically(path, lambda file: file.write(page))
     return path
 
 

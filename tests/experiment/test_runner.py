@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.errors import MissingDataError, SlamcmpError, UsageError
+from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment import runner
-from slamcmp.experiment.atomic import StorageError
 from slamcmp.experiment.run_file import load_truth, save_truth
 from slamcmp.experiment.runner import plan_experiment, run_experiment
 from slamcmp.experiment.store import TABLES, Results, load_results, locked

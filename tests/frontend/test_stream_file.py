@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry as g
-from slamcmp.errors import DataError, MissingDataError
+from slamcmp.errors import DataError, MissingDataError, StorageError
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem
@@ -146,7 +146,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, planar, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr(np, "savez_compressed", fail)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(StorageError, match="disk full"):
         save_stream(planar, path)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["stream.npz"]
