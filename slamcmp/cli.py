@@ -13,7 +13,17 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp import cli_check, cli_frontend, cli_plan, cli_results, cli_run, cli_show, cli_stream
+from slamcmp import (
+    cli_check,
+    cli_frontend,
+    cli_grade,
+    cli_grade_all,
+    cli_plan,
+    cli_results,
+    cli_run,
+    cli_show,
+    cli_stream,
+)
 from slamcmp.errors import SlamcmpError
 
 app = typer.Typer(
@@ -26,6 +36,8 @@ app = typer.Typer(
 )
 cli_run.add_commands(app)
 cli_check.add_commands(app)
+cli_grade.add_commands(app)
+cli_grade_all.add_commands(app)
 cli_plan.add_commands(app)
 cli_results.add_commands(app)
 cli_show.add_commands(app)

@@ -65,10 +65,10 @@ def digest_of_folder(folder: Path) -> str:
     return hasher.hexdigest()
 
 
-def digest_of_submission(path: Path) -> str:
+def digest_of_submission(path: Path, entry: str | None) -> str:
     """Of all that decides the grade: of a submission that is refused, the reason."""
     try:
-        return load_submission(path).digest
+        return load_submission(path, entry=entry).digest
     except SubmissionError as error:
         return f"refused: {error}"
     except Exception as error:

@@ -64,6 +64,7 @@ def run_class(
     folder: Path,
     *,
     secret: bytes,
+    entry: str | None = None,
     jobs: int | None = None,
     accept_weak_sandbox: bool = False,
     rerun_failed: bool = False,
@@ -72,7 +73,9 @@ def run_class(
     progress: bool = False,
     grader: str = GRADER,
 ) -> ClassResult:
-    """Grade every entry of ``submissions`` into ``folder``; what was graded from the same content is kept.
+    """Grade all of ``submissions`` into ``folder``; what was graded from the same content is kept.
+
+    ``entry`` is the file name that the assignment asks for.
 
     Ctrl-C and SIGTERM end the gradings under way and leave the rest usable.
 
@@ -88,6 +91,7 @@ def run_class(
         computed_from = {
             "format": FORMAT,
             "assignment": digest_of_folder(assignment),
+            "entry": entry,
             "code": code_version(sorted(Path(__file__).parent.rglob("*.py"))),
             "versions": versions(),
             # Says whether the secret is the same one without telling which.
@@ -97,12 +101,12 @@ def run_class(
         }
         rows: dict[str, GradebookRow] = {}
         waiting: list[_Job] = []
-        for entry in submitted:
-            job = _job(entry, assignment, folder, secret, computed_from, accept_weak_sandbox, pages)
+        for each in submitted:
+            job = _job(each, assignment, folder, secret, computed_from, accept_weak_sandbox, pages)
             row = _done_before(job, rerun_failed=rerun_failed)
             if row is None:
                 waiting.append(job)
-            rows[entry.student] = row or _pending(entry)
+            rows[each.student] = row or _pending(each)
         run = _Run(folder, rows, grader, time_limit_s, stop)
         with class_watcher(len(waiting), show=progress) as watcher:
             run.perform(waiting, jobs or os.cpu_count() or 1, watcher)
@@ -190,7 +194,11 @@ def _job(
 ) -> _Job:
     place = folder / "students" / entry.folder
     content = json.dumps(
-        {**computed_from, "student": entry.student, "submission": digest_of_submission(entry.path)},
+        {
+            **computed_from,
+            "student": entry.student,
+            "submission": digest_of_submission(entry.path, computed_from["entry"]),
+        },
         sort_keys=True,
     )
     request = GradeRequest(

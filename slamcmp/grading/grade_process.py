@@ -27,7 +27,7 @@ from typing import Any, Literal
 
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.executors import THREAD_VARIABLES
-from slamcmp.grading.outcome import GradeOutcome, load_outcome, save_outcome
+from slamcmp.grading.outcome import GradeOutcome, TestOutcome, load_outcome, save_outcome
 
 Ending = Literal["ok", "crashed", "timed_out", "refused"]
 
@@ -150,11 +150,39 @@ def outcome_of(request: GradeRequest, ended: Ended) -> GradeOutcome:
         outcome = _nothing(request)
     if ended.ending == "ok" and outcome.complete:
         return outcome
+    outcome = with_unreached(outcome, Path(request.assignment))
     why = _FOR_STUDENTS.get(ended.ending, _FOR_STUDENTS["crashed"])
     if why not in outcome.notes:
         outcome = replace(outcome, complete=False, notes=(*outcome.notes, why))
         save_outcome(outcome, path)
     return outcome
+
+
+def with_unreached(outcome: GradeOutcome, assignment: Path) -> GradeOutcome:
+    """The outcome with the tests that were not reached, so that a share is one of all points."""
+    from slamcmp.grading.assignment import load_assignment
+
+    try:
+        specs = load_assignment(assignment).tests
+    except SlamcmpError:
+        return outcome
+    unreached = tuple(
+        TestOutcome(
+            number=str(number),
+            name=spec.fields.name,
+            kind=spec.fields.kind,
+            status="skipped",
+            score=0.0,
+            max_score=spec.fields.points,
+            visibility=spec.fields.visibility,
+            message="Not run: the grading had ended before.",
+            staff_detail="",
+            seconds=0.0,
+        )
+        for number, spec in enumerate(specs, start=1)
+        if number > len(outcome.tests)
+    )
+    return replace(outcome, tests=outcome.tests + unreached)
 
 
 def _nothing(request: GradeRequest) -> GradeOutcome:
