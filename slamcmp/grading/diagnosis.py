@@ -86,7 +86,7 @@ def _same(first: Sequence[Any], second: Sequence[Any]) -> bool:
 
 def _alike(first: Any, second: Any) -> bool:
     if isinstance(first, str) or isinstance(second, str):
-        return bool(first == second)
+        return type(first) is type(second) and bool(first == second)
     a, b = _numbers(first), _numbers(second)
     if a is None or b is None or a.shape != b.shape:
         return a is None and b is None

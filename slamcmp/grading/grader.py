@@ -165,6 +165,13 @@ class Grading:
 
     def run(self, submission: Runner, keep: Callable[[GradeOutcome], None]) -> GradeOutcome:
         """Every test in turn; ``keep`` gets the outcome after each."""
+        outcome = self._start()
+        for outcome in self.outcomes(submission):
+            keep(outcome)
+        return outcome
+
+    def outcomes(self, submission: Runner) -> Iterator[GradeOutcome]:
+        """The outcome after each test."""
         started = time.monotonic()
         outcome = replace(self._start(), submission_digest=submission.digest)
         shares: dict[str, float] = {}
@@ -181,8 +188,7 @@ class Grading:
                 seconds=time.monotonic() - started,
                 leaderboard=(*outcome.leaderboard, *rank),
             )
-            keep(outcome)
-        return outcome
+            yield outcome
 
     def _test(
         self, number: int, spec: TestSpec, submission: Runner, shares: Mapping[str, float]
@@ -227,7 +233,12 @@ class Grading:
         elif credit > 0:
             status = "partial"
         if status in ("failed", "partial") and remembering is not None:
-            causes = self.causes(spec, remembering)
+            causes: list[str] = []
+            try:
+                causes = self.causes(spec, remembering)
+            except Exception as error:
+                # Without an explanation the marks still stand.
+                detail += "".join(traceback.format_exception(error))
             hint = [spec.fields.hint] if spec.fields.hint and not causes else []
             message = "\n".join([*causes, message, *hint])
         if submission.output:

@@ -65,7 +65,7 @@ def check_publishable(
         Grading(assignment, f"student {number}", b"secret of the publish gate") for number in range(seeds)
     ]
 
-    def graded(source: str, name: str, grading: Grading) -> GradeOutcome:
+    def graded(source: str, name: str, grading: Grading) -> Iterator[GradeOutcome]:
         runner: Runner
         if sandboxed:
             submission = _submission(assignment, source)
@@ -74,18 +74,18 @@ def check_publishable(
             runner = InProcess(
                 load_source(f"slamcmp_gate_{assignment.name}", source, assignment.folder / name)
             )
-        return grading.run(runner, _ignore)
+        return grading.outcomes(runner)
 
     findings = []
     for number, student in enumerate(students):
-        outcome = graded(assignment.solution_source, "solution", student)
+        *_, outcome = graded(assignment.solution_source, "solution", student)
         findings += [
             GateFinding(f"solution, seed {number}", f"loses marks in {test.name!r}: {test.message}")
             for test in outcome.tests
             if test.score < RIGHT * test.max_score
         ]
     starter = (assignment.folder / "starter.py").read_text(encoding="utf-8")
-    outcome = graded(starter, "starter", students[0])
+    *_, outcome = graded(starter, "starter", students[0])
     if outcome.score > 0:
         earned = [f"{test.name} ({test.score:g})" for test in outcome.tests if test.score > 0]
         findings.append(GateFinding("starter", f"earns marks in {', '.join(earned)}"))
@@ -99,18 +99,16 @@ def _submission(assignment: Assignment, source: str) -> Submission:
     return Submission(entry, "file", {entry: source.encode()}, entry)
 
 
-def _judge(name: str, message: str, outcome: GradeOutcome) -> Sequence[GateFinding]:
+def _judge(name: str, message: str, outcomes: Iterator[GradeOutcome]) -> Sequence[GateFinding]:
     who = f"mutant {name!r}"
-    lost = [test for test in outcome.tests if test.score < RIGHT * test.max_score]
-    if not lost:
-        return [GateFinding(who, "loses no marks")]
     # The template's own words, up to the first number that is filled in.
     words = message.split("{", 1)[0]
-    if not any(words in test.message for test in lost):
-        said = "; ".join(f"{test.name}: {test.message.splitlines()[0]}" for test in lost)
-        return [GateFinding(who, f"is not named; the messages are: {said}")]
-    return []
-
-
-def _ignore(outcome: GradeOutcome) -> None:
-    """No file, no progress."""
+    lost = []
+    for outcome in outcomes:
+        test = outcome.tests[-1]
+        if test.score < RIGHT * test.max_score:
+            if words in test.message:
+                return []
+            lost.append(f"{test.name}: {test.message.splitlines()[0]}")
+    what = f"is not named; the messages are: {'; '.join(lost)}" if lost else "loses no marks"
+    return [GateFinding(who, what)]
