@@ -24,7 +24,7 @@ from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.grading.sandbox.session import SandboxSession
 from slamcmp.grading.submission import Submission, load_submission
 
-POLICY = Policy(packages=("numpy",), memory_bytes=512 << 20, load_s=1.0, request_s=1.0, output_bytes=1 << 12)
+POLICY = Policy(packages=("numpy",), memory_bytes=512 << 20, load_s=2.0, request_s=2.0, output_bytes=1 << 12)
 TESTS: tuple[tuple[str, str, float, float, Visibility], ...] = (
     ("1", "double", 3.0, 6.0, "visible"),
     ("2", "half", 3.0, 1.5, "visible"),
