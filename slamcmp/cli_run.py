@@ -194,6 +194,8 @@ def _print_results(
     for row in failed.itertuples():
         seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed!s}"
         print(f"{row.status!s}: {row.label!s} (trial {row.trial!s}{seed}): {row.message!s}", file=sys.stderr)
+    for text in results.manifest.get("warnings", []):
+        print(f"warning: {text}", file=sys.stderr)
     search = results.manifest.get("until")
     if search:
         print(f"seeds: {search['reason']}")

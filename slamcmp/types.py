@@ -221,6 +221,8 @@ class Log:
     truth: GroundTruth | None = None
     images: Sequence[CameraFrame] | None = None
     """One entry a frame, read or rendered when it is asked for; None for sensors without images."""
+    warnings: tuple[str, ...] = ()
+    """What a reader of the results must know about the recording, such as lines that were left out."""
 
     def __post_init__(self) -> None:
         n = self.problem.sensor.space_dim

@@ -91,6 +91,8 @@ class Graph:
     """Where the file names it; else the landmark edges tell."""
     equivalent: list[tuple[int, int]] = field(default_factory=list)
     """Pairs of poses declared to be at the same place."""
+    warnings: list[str] = field(default_factory=list)
+    """What was left out of it."""
 
     def pose_ids(self) -> list[int]:
         """Every pose that stands anywhere in the file, sorted."""
@@ -138,7 +140,15 @@ def graph_log(
     mean, prior_covariance = _prior(graph, ids[0], prior_position_sigma_m, prior_heading_sigma_rad)
     times = np.array([graph.times.get(pose, k * time_step_s) for k, pose in enumerate(ids)])
     detections = tuple(_fused(seen.get(k, ()), sensor) for k in range(len(ids)))
-    return Log(name, Problem(mean, prior_covariance, sensor), times, increments, covariances, detections)
+    return Log(
+        name,
+        Problem(mean, prior_covariance, sensor),
+        times,
+        increments,
+        covariances,
+        detections,
+        warnings=tuple(graph.warnings),
+    )
 
 
 def _sensor_name(graph: Graph) -> SensorName:

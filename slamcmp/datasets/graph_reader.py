@@ -18,7 +18,6 @@ What the numbers after a measurement mean differs from kind to kind:
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache
@@ -50,7 +49,7 @@ def read_graph(path: Path | str, *, noise: Noise = "auto") -> Graph:
     """Read a planar or spatial graph file.
 
     ``noise`` overrides what the noise numbers of every kind but ``BR`` mean; ``auto`` follows the table
-    above. Kinds of lines that are not understood are left out with a warning that counts them.
+    above. Kinds of lines that are not understood are left out; the graph's ``warnings`` count them.
 
     Raises:
         MissingDataError: there is no such file.
@@ -178,10 +177,10 @@ class _Reader:
             listed = ", ".join(
                 f"{count} x {tag} (first at line {first_unknown[tag]})" for tag, count in unknown.items()
             )
-            message = f"{self._path}: left out lines of kinds this reader does not know: {listed}"
+            message = f"left out lines of kinds this reader does not know: {listed}"
             if not self._dims:
-                raise DataError(f"{message}; it knows {', '.join(sorted(self._kinds))}")
-            warnings.warn(message, stacklevel=3)
+                raise DataError(f"{self._path}: {message}; it knows {', '.join(sorted(self._kinds))}")
+            self._graph.warnings.append(f"{self._path.name}: {message}")
         return self._graph
 
     def _finish(self) -> None:

@@ -53,6 +53,8 @@ class StoredTruth:
     """Totals of the front end's report."""
     error: tuple[str, str] | None = None
     """Type and message, where the stream could not be made."""
+    warnings: tuple[str, ...] = ()
+    """Of the log."""
 
 
 def save_run(stored: StoredRun, path: Path) -> None:
@@ -102,6 +104,7 @@ def save_truth(stored: StoredTruth, path: Path) -> None:
         "frames": stored.frames,
         "front_end": dict(stored.front_end),
         "error": stored.error,
+        "warnings": list(stored.warnings),
     }
     arrays: dict[str, Any] = {}
     truth = stored.truth
@@ -146,7 +149,8 @@ def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stor
             outliers = tuple(np.split(arrays["outliers"], np.cumsum(arrays["outlier_sizes"])[:-1]))
         truth = GroundTruth(arrays["t"], arrays["T"], arrays["ids"], arrays["positions"], outliers)
     error = tuple(header["error"]) if header["error"] else None
-    return StoredTruth(header["digest"], header["frames"], truth, header["front_end"], error)
+    warnings = tuple(header["warnings"])
+    return StoredTruth(header["digest"], header["frames"], truth, header["front_end"], error, warnings)
 
 
 def _trajectory(name: str, arrays: Mapping[str, Any]) -> Trajectory | None:

@@ -158,7 +158,7 @@ def run_experiment(
             "jobs_reused": rounds.plan.reused,
             "jobs_missing": rounds.missing,
             "seeds": rounds.seeds(),
-            "front_end_totals": _front_end_totals(rounds.plan.trials, folder),
+            **_about_streams(rounds.plan.trials, folder),
             **({} if rounds.search is None else {"until": rounds.search}),
         }
         results = Results(folder, manifest, *tables)
@@ -425,11 +425,23 @@ def _add_note(task: Task, note: str) -> None:
         save_run(replace(stored, run=replace(stored.run, message=message)), task.result)
 
 
-def _front_end_totals(trials: Sequence[Trial], folder: Path) -> dict[str, int]:
-    """What the front end let through, over all trials."""
+def _about_streams(trials: Sequence[Trial], folder: Path) -> dict[str, Any]:
+    """What the front end let through, over all trials, and what a reader must know about the streams."""
     totals: dict[str, int] = {}
-    for key in {trial.stream.key for trial in trials}:
+    warnings: dict[str, None] = {}
+    streams = empty = 0
+    for key in dict.fromkeys(trial.stream.key for trial in trials):
         known = load_truth(truth_path(folder, key))
-        for name, count in ({} if known is None else known.front_end).items():
+        if known is None:
+            continue
+        streams += 1
+        warnings |= dict.fromkeys(known.warnings)
+        empty += known.front_end.get("kept") == 0
+        for name, count in known.front_end.items():
             totals[name] = totals.get(name, 0) + count
-    return totals
+    if empty:
+        warnings[
+            f"the front end kept no detection in {empty} of {streams} streams: there, every back end had "
+            "nothing but odometry"
+        ] = None
+    return {"front_end_totals": totals, "warnings": list(warnings)}

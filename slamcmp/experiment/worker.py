@@ -86,26 +86,27 @@ def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
 
 def make_stream(
     source: tuple[str, Mapping[str, Any]], front_end: tuple[str, Mapping[str, Any]], seed: int | None
-) -> tuple[MeasurementStream, GroundTruth | None]:
-    """The stream that a source and a front end, each (name, parameters), make from a seed; and the truth."""
+) -> tuple[MeasurementStream, Log]:
+    """The stream that a source and a front end, each (name, parameters), make from a seed; and its log."""
     seed = 0 if seed is None else seed
     plugin = sources.get(source[0])
     log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
     plugin = front_ends.get(front_end[0])
     stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
-    return stream, log.truth
+    return stream, log
 
 
 def _make_stream(task: Task) -> None:
     try:
-        stream, truth = make_stream(task.plugins[0], task.plugins[1], task.seed)
+        stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed)
     except Exception as error:
         text = str(error) if isinstance(error, SlamcmpError) else describe(error)
         save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
         return
     save_stream(stream, stream_path(task.folder, stream.digest))
     totals = {} if stream.report is None else stream.report.totals()
-    save_truth(StoredTruth(stream.digest, len(stream.frames), truth, totals), task.result)
+    known = StoredTruth(stream.digest, len(stream.frames), log.truth, totals, warnings=log.warnings)
+    save_truth(known, task.result)
 
 
 def _run(task: Task, heartbeat: MutableSequence[float]) -> None:

@@ -48,6 +48,7 @@ class Caution:
 def cautions(results: Results) -> list[Caution]:
     """Failed runs, innovations that look healthy on a wrong trajectory, too few runs, unequal streams."""
     found = [
+        _warnings(results),
         _failed(results),
         _healthy_but_far(results),
         _few_runs(results),
@@ -84,6 +85,13 @@ def map_distance_in_sigmas(landmarks: pd.DataFrame) -> float:
         return float("nan")
     names = {f"P_{name}": f"online_P_{name}" for name in ("xx", "xy", "yy")}
     return distance_in_sigmas(landmarks.rename(columns={"x": "online_x", "y": "online_y", **names}))
+
+
+def _warnings(results: Results) -> Caution | None:
+    told = results.manifest.get("warnings", [])
+    if not told:
+        return None
+    return Caution("The measurements are not what one might expect", f"{'; '.join(told)}.")
 
 
 def _failed(results: Results) -> Caution | None:
