@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config_errors import ConfigErrors
 from slamcmp.experiment.plugin_models import check_parameters, parameter_model
+from slamcmp.experiment.published import Published, check_published, published_keys
 from slamcmp.experiment.stop_rule import StopRule
 from slamcmp.experiment.yaml_source import KeyPath, YamlSource, load_yaml
 from slamcmp.registry import Plugin, Registry, back_ends, did_you_mean, figures, front_ends, sources
@@ -57,6 +58,9 @@ class ExperimentFields(BaseModel):
         None, gt=0, description="Memory one job may take; default: its share of the machine's"
     )
     figures: list[str] | None = Field(None, description="Names of figures; default: all that apply")
+    published: Published | None = Field(
+        None, description="Numbers from a publication; the results are shown beside them, with a verdict"
+    )
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ class Experiment:
     stream_time_limit_s: float = 3600.0
     memory_limit_mb: float | None = None
     figures: tuple[str, ...] | None = None
+    published: Published | None = None
     question: str = ""
     description: str = ""
 
@@ -159,6 +164,7 @@ class Experiment:
             "stream_time_limit_s": self.stream_time_limit_s,
             "memory_limit_mb": self.memory_limit_mb,
             "figures": None if self.figures is None else list(self.figures),
+            "published": None if self.published is None else self.published.model_dump(),
         }
 
 
@@ -180,7 +186,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         fields = ExperimentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
     except ValidationError as error:
         known: dict[KeyPath, Any] = {(): ExperimentFields.model_fields, ("until",): StopRule.model_fields}
-        errors.add_pydantic(error.errors(), (), known)
+        errors.add_pydantic(error.errors(), (), known | published_keys(error.errors()))
         # The sections that have the right shape are checked all the same: every mistake at once.
         wrong = {details["loc"][0] for details in error.errors()}
         good = {
@@ -189,7 +195,15 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
             if key in ExperimentFields.model_fields and key not in wrong
         }
         fields = ExperimentFields.model_construct(
-            **{"source": {}, "back_ends": [], "sweep": {}, "seeds": 1, "until": None, **good}
+            **{
+                "source": {},
+                "back_ends": [],
+                "sweep": {},
+                "seeds": 1,
+                "until": None,
+                "published": None,
+                **good,
+            }
         )
     checker = _Checker(errors, path.parent)
     chosen_source = checker.choice("source", fields.source, ("source",))
@@ -213,6 +227,9 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         )
     if fields.figures is not None:
         checker.figures(fields.figures)
+    published = None if fields.published is None else Published.model_validate(fields.published)
+    if published is not None:
+        check_published(errors, published, None if None in chosen else labels, fields.sweep)
     errors.raise_if_any()
     assert chosen_source is not None
     assert front_end is not None
@@ -229,6 +246,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         stream_time_limit_s=fields.stream_time_limit_s,
         memory_limit_mb=fields.memory_limit_mb,
         figures=None if fields.figures is None else tuple(fields.figures),
+        published=published,
         question=fields.question,
         description=fields.description,
     )
