@@ -73,8 +73,15 @@ def run(
     from slamcmp.report.summary import terminal_table
 
     summary = summary_table(found) if as_json else terminal_table(found)
-    report = None if no_report else write_report(found, folder / "report.html")
     failed = found.trials[found.trials["status"] != "ok"]
+    if not as_json:
+        _print_results(found, summary, failed)
+    report, fault = None, None
+    try:
+        report = None if no_report else write_report(found, folder / "report.html")
+    except Exception as error:
+        # A page that cannot be made must not cost the answer.
+        fault = error
     if as_json:
         print(
             json.dumps(
@@ -89,8 +96,10 @@ def run(
                 allow_nan=False,
             )
         )
-    else:
-        _print_results(found, summary, failed, report)
+    elif report is not None:
+        print(f"report: {report}")
+    if fault is not None:
+        raise fault
     if len(failed):
         raise typer.Exit(1)
 
@@ -187,9 +196,7 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
     )
 
 
-def _print_results(
-    results: Results, summary: pd.DataFrame, failed: pd.DataFrame, report: Path | None
-) -> None:
+def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
     print_table(summary)
     for row in failed.itertuples():
         seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed!s}"
@@ -199,6 +206,5 @@ def _print_results(
     search = results.manifest.get("until")
     if search:
         print(f"seeds: {search['reason']}")
-    print(f"results: {results.folder}")
-    if report is not None:
-        print(f"report: {report}")
+    # Before what may follow on standard error.
+    print(f"results: {results.folder}", flush=True)

@@ -113,7 +113,11 @@ def test_run_prints_table_and_paths_and_plain_progress(tmp_path: Path) -> None:
     answer = call(tmp_path, "run", "mine.yaml", "--jobs", "1")
     assert answer.returncode == 0, answer.stderr
     lines = answer.stderr.splitlines()
-    assert len(lines) == 6
+    assert len(lines) == 7
+    assert lines[6] == (
+        "warning: the front end kept no detection in 2 of 2 streams: there, every back end had nothing but "
+        "odometry"
+    )
     assert lines[0].startswith("[1/6] stream (seed 0): ok (")
     assert f"results: {tmp_path / 'results' / 'mine'}\n" in answer.stdout
     assert "report: results/mine/report.html\n" in answer.stdout
@@ -259,3 +263,27 @@ def test_upright_tables_keep_their_headings_in_every_block(capsys: pytest.Captur
     assert lines == [
         ["back", "end", "a" * 60, "b" * 60], ["runs", "1", "2"], ["back", "end", "c" * 60], ["runs", "3"],
     ]  # fmt: skip
+
+
+def test_lines_left_out_are_told_everywhere(tmp_path: Path) -> None:
+    (tmp_path / "my.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nWEIRD 1 2\n")
+    (tmp_path / "mine.yaml").write_text(
+        "source: {name: graph_file, path: my.g2o}\nback_ends: [{name: ekf_slam}]\n"
+    )
+    told = "my.g2o: left out lines of kinds this reader does not know: 1 x WEIRD (first at line 2)"
+    answer = call(tmp_path, "run", "mine.yaml", "--executor", "serial")
+    assert f"warning: {told}\n" in answer.stderr
+    manifest = json.loads((tmp_path / "results" / "mine" / "manifest.json").read_text())
+    assert manifest["warnings"][0] == told
+    assert told in (tmp_path / "results" / "mine" / "report.html").read_text()
+
+
+def test_report_that_cannot_be_written_costs_no_table(tmp_path: Path) -> None:
+    write(tmp_path, "DeadReckoning")
+    (tmp_path / "out" / "report.html").mkdir(parents=True)
+    answer = call(tmp_path, "run", "mine.yaml", "--executor", "serial", "--results", "out")
+    assert answer.returncode == 1
+    assert "DeadReckoning" in answer.stdout
+    assert answer.stderr.splitlines()[-1].startswith("slamcmp: cannot write out/report.html: ")
+    told = json.loads(call(tmp_path, "run", "mine.yaml", "--json", "--results", "out").stdout)
+    assert (told["report"], len(told["trials"])) == (None, 1)

@@ -12,6 +12,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from slamcmp.atomic import write_atomically
+from slamcmp.experiment.run_back_end import describe
 from slamcmp.experiment.store import Results
 from slamcmp.registry import figures
 from slamcmp.report import style
@@ -63,7 +64,11 @@ def draw_figures(
             continue
         for file_format in formats:
             path = folder / f"{drawn.name}.{file_format}"
-            content = figure_bytes(drawn.figure, file_format)
+            try:
+                content = figure_bytes(drawn.figure, file_format)
+            except Exception as error:
+                files.skipped[drawn.name] = fault_text(error)
+                continue
             write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
             files.append(path)
     return files
@@ -83,10 +88,18 @@ def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterato
         with matplotlib.rc_context(style.RC):
             try:
                 figure = plugin.target(results)
+                drawn = Drawn(plugin.name, title, caption, figure)
             except NotDrawable as reason:
-                yield Drawn(plugin.name, title, caption, None, str(reason))
-            else:
-                yield Drawn(plugin.name, title, caption, figure)
+                drawn = Drawn(plugin.name, title, caption, None, str(reason))
+            except Exception as error:
+                # One figure's mistake must cost neither the others nor the tables.
+                drawn = Drawn(plugin.name, title, caption, None, fault_text(error))
+        yield drawn
+
+
+def fault_text(error: Exception) -> str:
+    """Why a figure that has its inputs is not there."""
+    return f"drawing it failed: {describe(error)}"
 
 
 def figure_bytes(figure: Figure, file_format: str) -> bytes:

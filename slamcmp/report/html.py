@@ -18,7 +18,7 @@ from slamcmp.experiment.store import Results
 from slamcmp.report.cautions import cautions
 from slamcmp.report.certainty import certainty_table
 from slamcmp.report.faults import fault_table
-from slamcmp.report.figures import each_figure, figure_bytes
+from slamcmp.report.figures import each_figure, fault_text, figure_bytes
 from slamcmp.report.numbers import interval_text, number_text
 from slamcmp.report.selection import reference_name, swept_columns, value_text
 from slamcmp.report.summary import paired_table, summary_columns, summary_intervals, summary_table
@@ -165,9 +165,12 @@ def _search_text(manifest: Mapping[str, Any]) -> str:
 def _embed(drawn: Any) -> ReportFigure:
     source = ""
     if drawn.figure is not None:
-        content, kind = figure_bytes(drawn.figure, "svg"), "svg+xml"
-        if len(content) > SVG_LIMIT:
-            content, kind = figure_bytes(drawn.figure, "png"), "png"
+        try:
+            content, kind = figure_bytes(drawn.figure, "svg"), "svg+xml"
+            if len(content) > SVG_LIMIT:
+                content, kind = figure_bytes(drawn.figure, "png"), "png"
+        except Exception as error:
+            return ReportFigure(drawn.name, drawn.title, drawn.caption, "", fault_text(error))
         source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
     return ReportFigure(drawn.name, drawn.title, drawn.caption, source, drawn.reason)
 

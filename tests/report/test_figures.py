@@ -13,12 +13,13 @@ from matplotlib.patches import Ellipse, Rectangle
 from scipy.stats import chi2
 
 from slamcmp.errors import UsageError
-from slamcmp.registry import figures
+from slamcmp.registry import Plugin, figures
 from slamcmp.report import draw_figures, style, summary_table
 from slamcmp.report.budget_figure import budget_points, plot_budget
 from slamcmp.report.consistency_figure import binned_nis, plot_consistency
 from slamcmp.report.errors_figure import plot_errors
 from slamcmp.report.figures import each_figure
+from slamcmp.report.html import report_html
 from slamcmp.report.map_figure import ellipse_95, plot_map
 from slamcmp.report.selection import NotDrawable, typical_trial
 from slamcmp.report.sweep_figure import plot_sweep
@@ -282,3 +283,23 @@ def test_every_figure_says_what_it_shows_and_needs():
         assert plugin.traits["caption"].endswith(".")
         assert plugin.traits["title"]
         assert plugin.traits["needs"]
+
+
+def test_figure_with_a_mistake_is_skipped_with_its_reason(one_trial, tmp_path, monkeypatch):
+    def broken(results):
+        raise KeyError("online_q")
+
+    def unwritable(results):
+        figure = style.new_figure(2, 2, "x")
+        figure.savefig = lambda *_, **__: 1 / 0
+        return figure
+
+    monkeypatch.setitem(figures._plugins, "map", Plugin("map", broken))
+    monkeypatch.setitem(figures._plugins, "time", Plugin("time", unwritable))
+    files = draw_figures(one_trial, ["map", "time", "errors"], tmp_path, formats=["svg"])
+    assert [file.name for file in files] == ["errors.svg"]
+    assert files.skipped["map"].startswith("drawing it failed: KeyError: 'online_q' (test_figures.py:")
+    assert files.skipped["time"].startswith("drawing it failed: ZeroDivisionError: ")
+    page = report_html(one_trial)
+    assert "drawing it failed: KeyError" in page
+    assert "drawing it failed: ZeroDivisionError" in page
