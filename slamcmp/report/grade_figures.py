@@ -29,7 +29,7 @@ _ORDER: tuple[Role, ...] = ("band", "truth", "reference", "yours")
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve; a band is two of them, its lower and its upper border."""
+    """One curve; a band is two of them, its lower and its upper border, or its upper border alone."""
 
     name: str
     y: Sequence[float]
@@ -47,7 +47,9 @@ def plot_curves(
         handles: dict[str, Any] = {}
         lower, upper = _band(curves, along.size)
         if lower is not None and upper is not None:
-            axes.fill_between(along, lower, upper, color=style.BAND, alpha=0.45, linewidth=0)
+            # Without a lower border the curve is a size, which begins at nought.
+            floor = np.where(np.isneginf(lower), np.minimum(0.0, upper), lower)
+            axes.fill_between(along, floor, upper, color=style.BAND, alpha=0.45, linewidth=0)
         for curve in sorted(curves, key=lambda each: _ORDER.index(each.role)):
             look = _LOOK[curve.role]
             y = _finite(curve.y, along.size)
@@ -78,7 +80,7 @@ def outside_text(x_label: str, x: Sequence[float], curves: Sequence[Curve]) -> s
     if lower is None or upper is None or not yours:
         return ""
     y = _finite(yours[0].y, along.size)
-    known = np.isfinite(y) & np.isfinite(lower) & np.isfinite(upper)
+    known = np.isfinite(y) & ~np.isnan(lower) & np.isfinite(upper)
     outside = known & ((y < lower) | (y > upper))
     if not known.any():
         return "There is nothing of your curve to compare."
@@ -86,9 +88,11 @@ def outside_text(x_label: str, x: Sequence[float], curves: Sequence[Curve]) -> s
         return f"Your curve stays inside the band at all {int(known.sum())} points."
     first = int(np.flatnonzero(outside)[0])
     share = f"{int(outside.sum())} of {int(known.sum())} points"
+    border = f"{upper[first]:.4g}"
+    border = f"up to {border}" if np.isneginf(lower[first]) else f"{lower[first]:.4g} to {border}"
     return (
         f"Your curve first leaves the band at {x_label} = {along[first]:.4g} "
-        f"(value {y[first]:.4g}, band {lower[first]:.4g} to {upper[first]:.4g}) and is outside at {share}."
+        f"(value {y[first]:.4g}, band {border}) and is outside at {share}."
     )
 
 
@@ -96,6 +100,8 @@ def _band(
     curves: Sequence[Curve], size: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | tuple[None, None]:
     borders = [_finite(curve.y, size) for curve in curves if curve.role == "band"]
+    if len(borders) == 1:
+        return np.where(np.isnan(borders[0]), np.nan, -np.inf), borders[0]
     if len(borders) != 2:
         return None, None
     return np.minimum(*borders), np.maximum(*borders)

@@ -82,6 +82,11 @@ def test_the_text_says_where_the_curve_left_the_band() -> None:
     inside = [*curves[:2], Curve("yours", [0, 0.5, -0.5, 1], "yours")]
     assert outside_text("t [s]", [0, 1, 2, 3], inside) == "Your curve stays inside the band at all 4 points."
     assert outside_text("t [s]", [0, 1, 2, 3], curves[2:]) == ""
+    above = [curves[1], Curve("yours", [-9, 0.5, 1.5, 1], "yours")]
+    assert outside_text("t [s]", [0, 1, 2, 3], above) == (
+        "Your curve first leaves the band at t [s] = 2 (value 1.5, band up to 1) "
+        "and is outside at 1 of 4 points."
+    )
 
 
 def test_the_figure_marks_exactly_the_points_outside() -> None:
