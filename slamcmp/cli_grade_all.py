@@ -63,7 +63,9 @@ def grade_all(
     secret_file: SecretFile = None,
     out: Annotated[Path | None, typer.Option("--out", help="Default: grades/ASSIGNMENT.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Gradings at a time; default: one a core.")] = None,
-    time_limit_s: Annotated[float, typer.Option(min=1, help="For one submission, all its tests [s].")] = 900,
+    time_limit_s: Annotated[
+        float, typer.Option(min=1, help="Seconds for one submission, all its tests.")
+    ] = 900,
     rerun_failed: Annotated[
         bool, typer.Option("--rerun-failed", help="Grade again where the grader did not come to its end.")
     ] = False,
@@ -133,7 +135,7 @@ def gradescope_bundle(
     secret_file: SecretFile = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The zip to write.")] = Path("autograder.zip"),
     time_limit_s: Annotated[
-        float, typer.Option(min=1, help="For one submission; less than the platform's own limit [s].")
+        float, typer.Option(min=1, help="Seconds for one submission; less than the platform's own limit.")
     ] = 540,
     accept_weak_sandbox: AcceptWeak = False,
 ) -> None:
