@@ -123,10 +123,10 @@ def retract(T: FloatArray, xi: FloatArray) -> FloatArray:
 
 
 def retract_in_world_axes(T: FloatArray, xi: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """One pose moved by ``p += R v``, ``R = R exp(omega)``, and what that does to its error.
+    """Poses (..., n+1, n+1) moved by ``p += R v``, ``R = R exp(omega)``, and what that does to their errors.
 
-    The second answer J (p, p) takes a body-tangent error at the old pose to the one at the new pose with the
-    same world components: with it a filter's error is additive in the world, whatever the pose's attitude.
+    The second answer J (..., p, p) takes a body-tangent error at the old pose to the one at the new pose with
+    the same world components: with it an error is additive in the world, whatever the pose's attitude.
     """
     if xi.shape == (3,):
         x, y, theta = xi.tolist()
@@ -139,10 +139,15 @@ def retract_in_world_axes(T: FloatArray, xi: FloatArray) -> tuple[FloatArray, Fl
             [0.0, 0.0, 1.0],
         ]
         return np.array(moved), np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    turn = so3_exp(xi[:3])
-    J = np.zeros((6, 6))
-    J[:3, :3] = J[3:, 3:] = turn.T
-    return pose(T[:3, :3] @ turn, T[:3, 3] + T[:3, :3] @ xi[3:]), J
+    planar = xi.shape[-1] == 3
+    turn = rotation(se2(0.0, 0.0, xi[..., 2])) if planar else so3_exp(xi[..., :3])
+    step = pose(turn, xi[..., :2] if planar else xi[..., 3:])
+    return T @ step, _turned_tangent(np.swapaxes(turn, -1, -2))
+
+
+def change_of_axes(T_from: FloatArray, T_to: FloatArray) -> FloatArray:
+    """(..., p, p): a body-tangent error at ``T_from`` as the one at ``T_to`` with its world components."""
+    return _turned_tangent(np.swapaxes(rotation(T_to), -1, -2) @ rotation(T_from))
 
 
 def local(T: FloatArray, other: FloatArray) -> FloatArray:
@@ -268,15 +273,6 @@ def rotation_from_quaternion(q: FloatArray) -> FloatArray:
     return np.eye(3) + 2.0 * w[..., None, None] * W + 2.0 * (W @ W)
 
 
-def nearest_rotation(R: FloatArray) -> FloatArray:
-    """The rotation closest in the Frobenius norm (SVD), for data whose matrices are rounded."""
-    U, _, Vt = np.linalg.svd(R)
-    sign = np.ones(U.shape[:-1])
-    sign[..., -1] = np.linalg.det(U @ Vt)
-    nearest: FloatArray = (U * sign[..., None, :]) @ Vt
-    return nearest
-
-
 def dead_reckoning(T_world_body: FloatArray, T_prev_body: FloatArray) -> FloatArray:
     """Chain increments (K, n+1, n+1) onto a first pose; increment 0 is ignored (it is the identity)."""
     poses = np.empty_like(T_prev_body)
@@ -294,6 +290,19 @@ def _se2_exp_single(x: float, y: float, theta: float) -> FloatArray:
         a, b = math.sin(theta) / theta, 2.0 * math.sin(0.5 * theta) ** 2 / theta
     cos, sin = math.cos(theta), math.sin(theta)
     return np.array([[cos, -sin, a * x - b * y], [sin, cos, b * x + a * y], [0.0, 0.0, 1.0]])
+
+
+def _turned_tangent(R: FloatArray) -> FloatArray:
+    """(..., p, p): what a rotation (..., n, n) of the axes does to the two parts of a tangent vector."""
+    n = R.shape[-1]
+    p = 3 if n == 2 else 6
+    J = np.zeros((*R.shape[:-2], p, p))
+    J[..., :n, :n] = R
+    if n == 2:
+        J[..., 2, 2] = 1.0
+    else:
+        J[..., 3:, 3:] = R
+    return J
 
 
 def _sine_quotients(theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -182,6 +182,8 @@ def test_batch_axes_give_what_single_calls_give():
         T = g.exp(xi)
         n = T.shape[-1] - 1
         points = generator.uniform(-5, 5, (2, 4, n))
+        moved, J = g.retract_in_world_axes(T, xi)
+        np.testing.assert_allclose(g.change_of_axes(T, moved), J, rtol=0, atol=1e-14)
         for i in range(2):
             for j in range(4):
                 one = T[i, j]
@@ -189,6 +191,9 @@ def test_batch_axes_give_what_single_calls_give():
                 np.testing.assert_allclose(g.log(T)[i, j], g.log(one), rtol=0, atol=1e-14)
                 np.testing.assert_allclose(g.inverse(T)[i, j], g.inverse(one), rtol=0, atol=1e-14)
                 np.testing.assert_allclose(g.adjoint(T)[i, j], g.adjoint(one), rtol=0, atol=1e-14)
+                one_moved, one_J = g.retract_in_world_axes(one, xi[i, j])
+                np.testing.assert_allclose(moved[i, j], one_moved, rtol=0, atol=1e-14)
+                np.testing.assert_allclose(J[i, j], one_J, rtol=0, atol=1e-14)
                 np.testing.assert_allclose(
                     g.right_jacobian(xi)[i, j], g.right_jacobian(xi[i, j]), rtol=0, atol=1e-14
                 )

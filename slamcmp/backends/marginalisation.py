@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.errors import DivergedError
-from slamcmp.geometry import inverse, log, right_jacobian
+from slamcmp.geometry import change_of_axes, rotation, so3_left_jacobian, so3_log, translation
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -74,14 +74,14 @@ class Quadratic:
 class Prior:
     """A quadratic cost on the oldest pose and the first landmarks, about a centre.
 
-    ``in_world_axes``: the pose's difference to the centre is (p - p_c, log(R R_c^T)), and the information
-    is on those world components, so its Jacobian stays what it was; otherwise it is log(T_c^-1 T).
+    The pose's difference to the centre is (p - p_c, log(R_c^T R)) in the centre's axes. With first estimates
+    its Jacobian is the one at the centre, so that the information on world components stays what it was.
     """
 
     quadratic: Quadratic
     T: FloatArray
     landmarks: FloatArray
-    in_world_axes: bool = False
+    first_estimates: bool = False
 
     def linearised(self, T: FloatArray, landmarks: FloatArray) -> Quadratic:
         """The cost as a function of the body-tangent and landmark errors at another point."""
@@ -90,35 +90,13 @@ class Prior:
         return self.quadratic.recentred(offset).with_pose_error(J)
 
     def _difference(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        relative = inverse(self.T) @ T
-        xi = log(relative)
-        if not self.in_world_axes:
-            return xi, np.asarray(np.linalg.inv(right_jacobian(xi)), dtype=np.float64)
-        n = T.shape[0] - 1
-        to_world = world_axes(self.T)
-        turn = xi.copy()
-        shift = relative[:n, n]
-        if n == 2:
-            turn[:2] = shift
-        else:
-            turn[3:] = shift
-        return to_world @ turn, world_axes(T)
-
-
-def world_axes(T: FloatArray) -> FloatArray:
-    """(p, p): the body-tangent error at T in world axes."""
-    n = T.shape[0] - 1
-    R = T[:n, :n]
-    p = 3 if n == 2 else 6
-    blocks = np.zeros((p, p))
-    blocks[:n, :n] = R
-    if n == 2:
-        blocks[2, 2] = 1.0
-    else:
-        blocks[3:, 3:] = R
-    return blocks
-
-
-def in_world_axes(quadratic: Quadratic, T: FloatArray) -> Quadratic:
-    """The quadratic of a body-tangent error at T (first p states) on its world components."""
-    return quadratic.with_pose_error(world_axes(T).T)
+        shift = rotation(self.T).T @ (translation(T) - translation(self.T))
+        turn = rotation(self.T).T @ rotation(T)
+        J = change_of_axes(T, self.T)
+        if shift.size == 2:
+            return np.array([*shift, np.arctan2(turn[1, 0], turn[0, 0])]), J
+        omega = so3_log(turn)
+        if not self.first_estimates:
+            # Of log(R_c^T R exp(omega)): the right Jacobian's inverse, the left one being that of -omega.
+            J[:3, :3] = np.linalg.inv(so3_left_jacobian(-omega))
+        return np.concatenate([omega, shift]), J

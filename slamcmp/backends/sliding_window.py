@@ -10,6 +10,9 @@ A pose leaves the window with the Jacobians of the last solve, the ones that the
 from: nothing is relinearised between solving and marginalising. Afterwards the prior's origin is the current
 estimate.
 
+Errors of poses are additive in the world, as in ``ekf_slam``, and written in the body axes of the current
+estimate: a step turns these axes, and with them all linear terms (``turn``).
+
 ========  =====================================================================
 symbol    meaning (Sibley 2006; Dong-Si and Mourikis 2011 for first estimates)
 ========  =====================================================================
@@ -30,18 +33,16 @@ from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
 from slamcmp.backends.gauss_newton import GaussNewtonStep
-from slamcmp.backends.marginalisation import Prior, Quadratic, in_world_axes
+from slamcmp.backends.marginalisation import Prior, Quadratic
 from slamcmp.backends.whitening import whitener, whiteners
 from slamcmp.backends.window_cost import (
     ObservationTerms,
     OdometryTerms,
     observation_terms,
     odometry_terms,
-    retract_in_world_axes,
     squared_residuals,
-    tangent_turn,
 )
-from slamcmp.geometry import exp
+from slamcmp.geometry import retract_in_world_axes
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
@@ -99,7 +100,8 @@ class SlidingWindow:
 
         W = whitener(problem.P, "the prior covariance Problem.P")
         self._T = problem.T_world_body[None].copy()
-        self._prior = Prior(Quadratic(W.T @ W, np.zeros(p)), self._T[0], np.empty((0, n)))
+        start = Quadratic(W.T @ W, np.zeros(p))
+        self._prior = Prior(start, self._T[0], np.empty((0, n)), self._first_estimates)
         self._linear_prior = self._prior.quadratic
         self._increments, self._odometry_W = np.empty((0, n + 1, n + 1)), np.empty((0, p, p))
         self._odometry = OdometryTerms(np.empty((0, p, p)), np.empty((0, p, p)), np.empty((0, p)))
@@ -178,9 +180,7 @@ class SlidingWindow:
         self._increments = np.concatenate([self._increments, frame.T_prev_body[None]])
         self._odometry_W = np.concatenate([self._odometry_W, W[None]])
         at, _ = self._jacobian_points()
-        new = odometry_terms(
-            self._T[-2:], at[-2:], self._first_estimates, self._increments[-1:], self._odometry_W[-1:]
-        )
+        new = odometry_terms(self._T[-2:], at[-2:], self._increments[-1:], self._odometry_W[-1:])
         old = self._odometry
         self._odometry = OdometryTerms(
             np.concatenate([old.A_prev, new.A_prev]),
@@ -229,16 +229,11 @@ class SlidingWindow:
                 len(self._landmarks),
                 self._n,
             )
-            before = self._T
             share = self._share_of(step)
             pose_step, landmark_step = share * step.pose_step, share * step.landmark_step
-            self._T = self._retracted(pose_step)
+            self._T, self._turn = retract_in_world_axes(self._T, pose_step)
             self._landmarks = self._landmarks + landmark_step
             self._recentre(pose_step, landmark_step)
-            if self._first_estimates:
-                self._turn_axes(tangent_turn(self._T, before))
-            else:
-                self._turn = np.broadcast_to(np.eye(self._p), (len(before), self._p, self._p))
             self._step, self._joint, self._used = step, None, iteration
             sizes = np.abs(pose_step).max(), np.abs(landmark_step).max(initial=0.0)
             self._last_size = float(max(sizes))
@@ -250,9 +245,7 @@ class SlidingWindow:
         self._T_at, self._landmarks_at = self._jacobian_points()
         known = self._prior.landmarks.shape[0]
         self._linear_prior = self._prior.linearised(self._T[0], self._landmarks[:known])
-        self._odometry = odometry_terms(
-            self._T, self._T_at, self._first_estimates, self._increments, self._odometry_W
-        )
+        self._odometry = odometry_terms(self._T, self._T_at, self._increments, self._odometry_W)
         self._observations = self._observation_terms(slice(None))
 
     def _jacobian_points(self) -> tuple[FloatArray, FloatArray]:
@@ -274,7 +267,6 @@ class SlidingWindow:
             self._landmarks[landmark_of],
             T_at[pose_of],
             landmarks_at[landmark_of],
-            self._first_estimates,
             self._z[rows],
             self._W[rows],
         )
@@ -287,16 +279,11 @@ class SlidingWindow:
         bound = (self._linear_prior.c + squares) * (1.0 + 1e-9) + 1e-9
         share = 1.0
         for _ in range(HALVINGS):
-            T = self._retracted(share * step.pose_step)
+            T, _ = retract_in_world_axes(self._T, share * step.pose_step)
             if self._cost(T, self._landmarks + share * step.landmark_step) <= bound:
                 break
             share *= 0.5
         return share
-
-    def _retracted(self, pose_step: FloatArray) -> FloatArray:
-        if self._first_estimates:
-            return retract_in_world_axes(self._T, pose_step)
-        return self._T @ exp(pose_step)
 
     def _cost(self, T: FloatArray, landmarks: FloatArray) -> float:
         known = self._prior.landmarks.shape[0]
@@ -312,19 +299,14 @@ class SlidingWindow:
         )
 
     def _recentre(self, pose_step: FloatArray, landmark_step: FloatArray) -> None:
-        """Linear terms about the new estimate, with the Jacobians of the solve."""
+        """Linear terms about the new estimate and in its axes, with the Jacobians of the solve."""
         self._odometry.recentre(pose_step)
+        self._odometry.turn(self._turn)
         self._observations.recentre(pose_step[self._pose_of], landmark_step[self._landmark_of])
+        self._observations.turn(self._turn[self._pose_of])
         known = (self._linear_prior.eta.size - self._p) // self._n
         moved = np.concatenate([pose_step[0], landmark_step[:known].ravel()])
-        self._linear_prior = self._linear_prior.recentred(moved)
-
-    def _turn_axes(self, turn: FloatArray) -> None:
-        """Read linear terms in the axes of the new estimate: a first-estimates error keeps its world axes."""
-        self._turn = turn
-        self._odometry.turn(turn)
-        self._observations.turn(turn[self._pose_of])
-        self._linear_prior = self._linear_prior.with_pose_error(turn[0].T)
+        self._linear_prior = self._linear_prior.recentred(moved).with_pose_error(self._turn[0].T)
 
     def _marginalise_oldest(self, seen_now: set[int]) -> None:
         """Turn the oldest pose's costs into a prior on the next pose and the landmarks."""
@@ -343,10 +325,7 @@ class SlidingWindow:
             quadratic = self._without_unseen(quadratic, seen_now)
         self._linear_prior = quadratic
         centre = self._landmarks[: self._pinned].copy()
-        if self._first_estimates:
-            self._prior = Prior(in_world_axes(quadratic, self._T[0]), self._T[0], centre, in_world_axes=True)
-        else:
-            self._prior = Prior(quadratic, self._T[0], centre)
+        self._prior = Prior(quadratic, self._T[0], centre, self._first_estimates)
 
     def _cost_of_oldest(self, leaving: NDArray[np.bool_]) -> tuple[Quadratic, int]:
         """The oldest pose's cost on [oldest, next, landmarks], and how many landmarks these are."""

@@ -1,11 +1,11 @@
 """The residuals of a window of poses and their Jacobians, whitened.
 
 The cost is that of the filters: ``log(T_prev_body^-1 T_{k-1}^-1 T_k)`` for odometry and ``h(T, l) - z`` for
-observations. Every function answers with terms of ``|b + A delta|^2``, delta in the body tangent of the
-*current* poses and additive for landmarks. Where Jacobians are taken at another point than the current one
-(first estimates), the change of chart is the one between their world axes: a pose error (rotation,
-translation) keeps its world components. That is what keeps the null space of rigid motions of the world,
-which is [R^T (t + w x p), w] for poses and t + w x l for landmarks, at the points of the Jacobians.
+observations. Every function answers with terms of ``|b + A delta|^2``, delta in the body axes of the
+*current* poses and additive for landmarks. A pose error (rotation, translation) keeps its world components
+when it is read at another pose: after a step, and where Jacobians are taken at another point than the current
+one (first estimates). That is what keeps the null space of rigid motions of the world, which is
+[R^T (t + w x p), w] for poses and t + w x l for landmarks, at the points of the Jacobians.
 
 ========  =====================================================================
 symbol    meaning
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp.geometry import adjoint, exp, inverse, log, right_jacobian
+from slamcmp.geometry import adjoint, change_of_axes, inverse, log, right_jacobian
 from slamcmp.protocols import SensorModel
 
 FloatArray = NDArray[np.float64]
@@ -74,9 +74,7 @@ class ObservationTerms:
         self.H_pose = self.H_pose @ np.swapaxes(turn, 1, 2)
 
 
-def odometry_terms(
-    T: FloatArray, at: FloatArray, shifted: bool, increments: FloatArray, W: FloatArray
-) -> OdometryTerms:
+def odometry_terms(T: FloatArray, at: FloatArray, increments: FloatArray, W: FloatArray) -> OdometryTerms:
     """Terms of the increments (K-1, n+1, n+1) between poses T (K, …), Jacobians at the poses ``at``."""
     back = inverse(increments)
     residual = log(back @ inverse(T[:-1]) @ T[1:])
@@ -84,10 +82,8 @@ def odometry_terms(
     # Whatever stands here, the same in both: rigid motions of the world stay invisible.
     A_next = W @ np.linalg.inv(right_jacobian(residual))
     A_prev = -A_next @ adjoint(inverse(relative))
-    if shifted:
-        turn = tangent_turn(at, T)
-        A_prev, A_next = A_prev @ turn[:-1], A_next @ turn[1:]
-    return OdometryTerms(A_prev, A_next, np.einsum("kij,kj->ki", W, residual))
+    turn = change_of_axes(T, at)
+    return OdometryTerms(A_prev @ turn[:-1], A_next @ turn[1:], np.einsum("kij,kj->ki", W, residual))
 
 
 def observation_terms(
@@ -96,15 +92,13 @@ def observation_terms(
     landmarks: FloatArray,
     at: FloatArray,
     landmarks_at: FloatArray,
-    shifted: bool,
     z: FloatArray,
     W: FloatArray,
 ) -> ObservationTerms:
     """Terms of M observations z (M, d); poses (M, …) and landmarks (M, n) stand once per observation."""
     residual = -sensor.residual(z, sensor.predict(T, landmarks))
     H_pose, H_land = sensor.jacobians(at, landmarks_at)
-    if shifted:
-        H_pose = H_pose @ tangent_turn(at, T)
+    H_pose = H_pose @ change_of_axes(T, at)
     return ObservationTerms(W @ H_pose, W @ H_land, np.einsum("mij,mj->mi", W, residual))
 
 
@@ -124,25 +118,3 @@ def squared_residuals(
     total = (np.einsum("kij,kj->ki", odometry_W, steps) ** 2).sum()
     total += (np.einsum("mij,mj->mi", W, sights) ** 2).sum()
     return float(total)
-
-
-def retract_in_world_axes(T: FloatArray, xi: FloatArray) -> FloatArray:
-    """Poses (K, …) moved by body-tangent errors xi (K, p) whose translation is added, not screwed on."""
-    moved = exp(xi)
-    n = T.shape[-1] - 1
-    moved[..., :n, n] = xi[..., :2] if n == 2 else xi[..., 3:]
-    return T @ moved
-
-
-def tangent_turn(at: FloatArray, T: FloatArray) -> FloatArray:
-    """(…, p, p): a body-tangent error at ``T`` as the error at ``at`` with the same world components."""
-    n = T.shape[-1] - 1
-    turn = np.swapaxes(at[..., :n, :n], -1, -2) @ T[..., :n, :n]
-    p = 3 if n == 2 else 6
-    blocks = np.zeros((*T.shape[:-2], p, p))
-    blocks[..., :n, :n] = turn
-    if n == 2:
-        blocks[..., 2, 2] = 1.0
-    else:
-        blocks[..., 3:, 3:] = turn
-    return blocks

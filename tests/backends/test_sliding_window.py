@@ -9,7 +9,7 @@ import pytest
 
 from slamcmp import geometry
 from slamcmp.backends.gauss_newton import GaussNewtonStep
-from slamcmp.backends.marginalisation import Prior, Quadratic, in_world_axes
+from slamcmp.backends.marginalisation import Prior, Quadratic
 from slamcmp.backends.sliding_window import SlidingWindow
 from slamcmp.backends.window_cost import ObservationTerms, OdometryTerms, observation_terms, odometry_terms
 from slamcmp.errors import DivergedError, UsageError
@@ -130,7 +130,7 @@ def test_odometry_jacobians_are_central_differences(n: int) -> None:
         moved = geometry.retract(T, delta.reshape(2, p))
         return W @ geometry.local(increment, geometry.inverse(moved[0]) @ moved[1])
 
-    terms = odometry_terms(T, T, False, increment[None], W[None])
+    terms = odometry_terms(T, T, increment[None], W[None])
     expected = central_difference(residual, 2 * p)
     np.testing.assert_allclose(
         np.concatenate([terms.A_prev[0], terms.A_next[0]], axis=1), expected, atol=1e-7
@@ -139,8 +139,8 @@ def test_odometry_jacobians_are_central_differences(n: int) -> None:
 
 
 @pytest.mark.parametrize("n", [2, 3])
-def test_prior_follows_the_chart_of_its_centre(n: int) -> None:
-    """Value and gradient at another point are those of the Gaussian in the tangent of the centre."""
+def test_prior_is_gaussian_in_position_and_turn_from_its_centre(n: int) -> None:
+    """Value and gradient at another point are those of the Gaussian, its differences in the centre's axes."""
     rng = np.random.default_rng(n)
     p = TANGENT_DIM[n]
     centre, points = random_poses(rng, 1, n)[0], rng.normal(size=(2, n))
@@ -148,9 +148,8 @@ def test_prior_follows_the_chart_of_its_centre(n: int) -> None:
     T, moved = geometry.retract(centre, 0.4 * rng.normal(size=p)), points + rng.normal(size=(2, n))
 
     def value(delta: np.ndarray) -> np.ndarray:
-        x = np.concatenate(
-            [geometry.local(centre, geometry.retract(T, delta[:p])), (moved - points).ravel() + delta[p:]]
-        )
+        relative = geometry.inverse(centre) @ geometry.retract(T, delta[:p])
+        x = np.concatenate([position_and_turn(relative), (moved - points).ravel() + delta[p:]])
         q = prior.quadratic
         return np.array([x @ q.Lam @ x - 2 * q.eta @ x + q.c])
 
@@ -161,24 +160,27 @@ def test_prior_follows_the_chart_of_its_centre(n: int) -> None:
 
 
 @pytest.mark.parametrize("n", [2, 3])
-def test_prior_in_world_axes_keeps_its_information_when_the_pose_moves(n: int) -> None:
+def test_prior_of_first_estimates_keeps_its_information_when_the_pose_moves(n: int) -> None:
     rng = np.random.default_rng(n)
     p = TANGENT_DIM[n]
     centre, T = random_poses(rng, 2, n)
-    body = Quadratic(definite(rng, p), rng.normal(size=p))
-    prior = Prior(in_world_axes(body, centre), centre, np.empty((0, n)), in_world_axes=True)
-    at_centre = prior.linearised(centre, np.empty((0, n)))
-    np.testing.assert_allclose(at_centre.Lam, body.Lam, atol=1e-12)
-    np.testing.assert_allclose(at_centre.eta, body.eta, atol=1e-12)
-    elsewhere = in_world_axes(prior.linearised(T, np.empty((0, n))), T)
-    np.testing.assert_allclose(elsewhere.Lam, prior.quadratic.Lam, atol=1e-11)
-    shift = geometry.translation(T) - geometry.translation(centre)
-    turn = geometry.rotation(T) @ geometry.rotation(centre).T
-    if n == 2:
-        moved = np.array([*shift, np.arctan2(turn[1, 0], turn[0, 0])])
-    else:
-        moved = np.concatenate([geometry.so3_log(turn), shift])
-    np.testing.assert_allclose(elsewhere.eta, prior.quadratic.eta - prior.quadratic.Lam @ moved, atol=1e-9)
+    given, none = Quadratic(definite(rng, p), rng.normal(size=p)), np.empty((0, n))
+    prior = Prior(given, centre, none, first_estimates=True)
+    at_centre = prior.linearised(centre, none)
+    np.testing.assert_allclose(at_centre.Lam, given.Lam, atol=1e-12)
+    np.testing.assert_allclose(at_centre.eta, given.eta, atol=1e-12)
+    back = geometry.change_of_axes(centre, T)
+    elsewhere = prior.linearised(T, none).with_pose_error(back)
+    np.testing.assert_allclose(elsewhere.Lam, given.Lam, atol=1e-11)
+    moved = position_and_turn(geometry.inverse(centre) @ T)
+    np.testing.assert_allclose(elsewhere.eta, given.eta - given.Lam @ moved, atol=1e-9)
+
+
+def position_and_turn(T: np.ndarray) -> np.ndarray:
+    """(p, log R) in the tangent's order."""
+    if len(T) == 3:
+        return geometry.se2_coordinates(T)
+    return np.concatenate([geometry.so3_log(geometry.rotation(T)), geometry.translation(T)])
 
 
 @pytest.mark.parametrize("sensor", [RangeBearing(), RelativePosition(), RelativePosition(space_dim=3)])
@@ -190,13 +192,11 @@ def test_first_estimates_keep_rigid_motions_of_the_world_invisible(sensor: Any) 
     points, points_at = rng.normal(size=(2, 4, n)) * 3
     increments = geometry.inverse(T[:-1]) @ T[1:]
     W = np.broadcast_to(np.eye(TANGENT_DIM[n]), (2, TANGENT_DIM[n], TANGENT_DIM[n]))
-    odometry = odometry_terms(T, at, True, increments, W)
+    odometry = odometry_terms(T, at, increments, W)
     pose_of, land_of = np.array([0, 0, 1, 2, 2]), np.array([0, 1, 2, 1, 3])
     z = sensor.predict(T[pose_of], points[land_of])
     Wz = np.broadcast_to(np.eye(n), (5, n, n))
-    terms = observation_terms(
-        sensor, T[pose_of], points[land_of], at[pose_of], points_at[land_of], True, z, Wz
-    )
+    terms = observation_terms(sensor, T[pose_of], points[land_of], at[pose_of], points_at[land_of], z, Wz)
 
     pose_motions, point_motions = rigid_motions(T, at, points_at)
     seen = np.einsum("kij,kjg->kig", odometry.A_prev, pose_motions[:-1])
