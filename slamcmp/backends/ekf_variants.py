@@ -10,9 +10,8 @@ name                      chart                   Jacobians at
 ``ekf_right_invariant``   right-invariant         the latest estimate
 ========================  ======================  ==========================
 
-``ekf_slam`` is the latest estimate in the body tangent; ``ekf_robocentric`` has another order of steps and
-a file of its own. For ``new_landmarks`` and ``smooth`` see
-error_state_ekf.py.
+``ekf_slam`` is ``ekf_world`` without this engine, sooner; ``ekf_robocentric`` has another order of steps and
+a file of its own. For ``new_landmarks`` and ``smooth`` see error_state_ekf.py.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 """Iterated EKF-SLAM: the frame's cost minimised by Gauss–Newton instead of one step of it.
 
-The cost of a frame is |log(T_prior^-1 T)|² + |l - l_prior|² in the prior's covariance plus the whitened
-residuals of its observations (Bell and Cathey 1993). In the tangent s at the prior's mean, where the prior
-is quadratic, Gauss–Newton from iterate s_i is the Kalman update with y + H s_i in place of y; H is taken at
-the iterate and carried to that tangent by the right Jacobian. New landmarks fit exactly, so they only follow
-the pose's last linearisation. One iteration is ``ekf_slam``.
+The cost of a frame is |s|² in the prior's covariance plus the whitened residuals of its observations (Bell
+and Cathey 1993), where s is the offset from the predicted mean in the world chart, additive in position and
+landmarks. There the prior is quadratic, so Gauss–Newton from iterate s_i is the Kalman update with y + H s_i
+in place of y; H is taken at the iterate and carried to s by the left Jacobian of the rotation. New landmarks
+fit exactly, so they only follow the pose's last linearisation. One iteration is ``ekf_slam``.
 
 ========  =================================================================
 symbol    meaning
 ========  =================================================================
-s         offset from the predicted mean, body tangent and world axes
-J         right Jacobian at the pose's part of s: d(tangent at s) = J ds
+s         offset from the predicted mean, pose (p,) and landmarks
+J         at the pose's part of s: d(error of the pose there) = J ds
 y, H, R   stacked innovation, Jacobian and noise of the known landmarks
 ========  =================================================================
 """
@@ -24,11 +24,11 @@ from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
 from slamcmp.backends.covariance import block_diagonal
-from slamcmp.backends.ekf_charts import Chart
+from slamcmp.backends.ekf_charts import WorldChart
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, stacked
 from slamcmp.backends.filter_history import Step
 from slamcmp.backends.linearisation import LatestEstimate
-from slamcmp.geometry import right_jacobian
+from slamcmp.geometry import so3_left_jacobian
 from slamcmp.registry import back_ends
 from slamcmp.types import Frame, Problem
 
@@ -58,7 +58,7 @@ class IteratedEkf(ErrorStateEkf):
         tolerance: Annotated[float, Gt(0)] = 1e-12,
         smooth: bool = False,
     ) -> None:
-        chart = Chart(problem.sensor.space_dim)
+        chart = WorldChart(problem.sensor.space_dim)
         super().__init__(problem, chart, LatestEstimate(), new_landmarks="join_first", smooth=smooth)
         self._iterations, self._tolerance = iterations, tolerance
 
@@ -73,8 +73,8 @@ class IteratedEkf(ErrorStateEkf):
                 numbers[known], frame.z[known], frame.R[known]
             )
             s = self._condition(touched, y, H, R)
-            J = right_jacobian(s_linear[:p])
-            # The covariance belongs to the tangent at the point of linearisation, as the plain EKF's does.
+            J = self._carried(s_linear)
+            # The covariance belongs to the errors at the point of linearisation, as the plain EKF's does.
             self._P.propagate(J, np.zeros_like(J))
             if self.history is not None:
                 self.history.events.append(Step(J))
@@ -92,15 +92,15 @@ class IteratedEkf(ErrorStateEkf):
         self, numbers: IntArray, z: FloatArray, R: FloatArray
     ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
         """Iterate on the touched states only; s (c,) where it ended, and the linear observation there."""
-        p, n = self._chart.p, self._chart.n
+        n = self._chart.n
         touched, R_all = self._touched(numbers), block_diagonal(R)
         P = self._P.columns(touched, n)[touched]
         seen_prior = self._landmarks[numbers]
         s = np.zeros(touched.size)
         for remaining in reversed(range(self._iterations)):
             T, seen = self._chart.retract(self._T, seen_prior, s)
-            H_pose, H_land = self._sensor.jacobians(T, seen)
-            H = stacked(H_pose @ right_jacobian(s[:p]), H_land)
+            H_pose, H_land = self._jacobians(T, seen)
+            H = stacked(H_pose @ self._carried(s), H_land)
             y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s
             if remaining:
                 after = P @ H.T @ np.linalg.solve(H @ P @ H.T + R_all, y)
@@ -108,3 +108,10 @@ class IteratedEkf(ErrorStateEkf):
                     break
                 s = after
         return s, touched, y, H, R_all
+
+    def _carried(self, s: FloatArray) -> FloatArray:
+        """J (p, p): all is additive but the rotation in space."""
+        J = np.eye(self._chart.p)
+        if self._chart.n == 3:
+            J[:3, :3] = so3_left_jacobian(s[:3])
+        return J

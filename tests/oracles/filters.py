@@ -26,7 +26,7 @@ Make = Callable[[Problem, GroundTruth], ErrorStateEkf]
 
 
 class BodyEkf(ErrorStateEkf):
-    """The engine in the body tangent, which no registered filter but the iterated one uses."""
+    """The engine in the body tangent, which is ``ekf_slam`` with the error state "body"."""
 
     def __init__(self, problem: Problem, *, new_landmarks: Any = "join_first", smooth: bool = False) -> None:
         chart = Chart(problem.sensor.space_dim)
