@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
     from slamcmp.experiment.runner import Plan
     from slamcmp.experiment.store import Results
+    from slamcmp.experiment.verdict import PublishedVerdict
 
 UPRIGHT_ROWS = 6
-"""A table with at most so many rows is printed with one line a column."""
+"""A table with at most so many rows is printed with one line a column, unless told otherwise."""
 FILE_WIDTH = 160
 EMPTY = "–"
 
@@ -40,7 +41,11 @@ def run(
     executor: Annotated[str, typer.Option(help="Where jobs run: processes or serial.")] = "processes",
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
 ) -> None:
-    """Run an experiment, or what is left of it, and print its table."""
+    """Run an experiment, or what is left of it, and print its table.
+
+    With published numbers in the file they stand beside the measured ones, with a verdict. The exit code is 1
+    where a run failed, whatever the verdict is.
+    """
     from slamcmp.experiment.executors import warm_up
 
     if executor == "processes" and not dry_run:
@@ -69,13 +74,17 @@ def run(
         progress=not as_json,
         command=" ".join(["slamcmp", *sys.argv[1:]]),
     )
+    from slamcmp.experiment.verdict import judge
     from slamcmp.report import summary_table, write_report
     from slamcmp.report.summary import terminal_table
 
     summary = summary_table(found) if as_json else terminal_table(found)
     failed = found.trials[found.trials["status"] != "ok"]
+    verdict = judge(found)
     if not as_json:
         _print_results(found, summary, failed)
+        if verdict is not None:
+            _print_verdict(verdict)
     report, fault = None, None
     try:
         report = None if no_report else write_report(found, folder / "report.html")
@@ -91,6 +100,7 @@ def run(
                     "manifest": json_value(found.manifest),
                     "summary": json_rows(summary.reset_index()),
                     "trials": json_rows(found.trials),
+                    "published": None if verdict is None else json_value(verdict.as_dict()),
                 },
                 default=str,
                 allow_nan=False,
@@ -121,7 +131,7 @@ def json_value(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def print_table(table: pd.DataFrame) -> None:
+def print_table(table: pd.DataFrame, *, upright_rows: int = UPRIGHT_ROWS) -> None:
     """A table on standard output: upright where it has few rows, else in blocks of columns that fit."""
     from rich.console import Console
     from rich.table import Table
@@ -129,7 +139,7 @@ def print_table(table: pd.DataFrame) -> None:
     console = Console(width=None if sys.stdout.isatty() else FILE_WIDTH, highlight=False, markup=False)
     columns = [[str(name), *map(_cell, table[name])] for name in table.columns]
     columns = [column for column in columns if set(column[1:]) - {"", EMPTY}]
-    if len(table) <= UPRIGHT_ROWS:
+    if len(table) <= upright_rows:
         upright = [list(row) for row in zip(*columns, strict=True)]
         blocks = _blocks(upright[:1], upright[1:], console.width)
     else:
@@ -208,3 +218,13 @@ def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame
         print(f"seeds: {search['reason']}")
     # Before what may follow on standard error.
     print(f"results: {results.folder}", flush=True)
+
+
+def _print_verdict(verdict: PublishedVerdict) -> None:
+    from slamcmp.report.published import order_rows, value_rows
+
+    print(f"\npublished: {verdict.source.strip()}")
+    for table in (value_rows(verdict), order_rows(verdict)):
+        if len(table):
+            print_table(table, upright_rows=0)
+    print(f"verdict: {verdict.sentence()}")

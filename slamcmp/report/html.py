@@ -15,11 +15,13 @@ import pandas as pd
 
 from slamcmp.atomic import write_atomically
 from slamcmp.experiment.store import Results
+from slamcmp.experiment.verdict import judge
 from slamcmp.report.cautions import cautions
 from slamcmp.report.certainty import certainty_table
 from slamcmp.report.faults import fault_table
 from slamcmp.report.figures import each_figure, fault_text, figure_bytes
 from slamcmp.report.numbers import interval_text, number_text
+from slamcmp.report.published import order_rows, value_rows
 from slamcmp.report.selection import reference_name, swept_columns, value_text
 from slamcmp.report.summary import paired_table, summary_columns, summary_intervals, summary_table
 
@@ -80,6 +82,8 @@ def report_html(results: Results) -> str:
     faults, more_faults = fault_table(results)
     swept = swept_columns(results.trials)
     manifest = results.manifest
+    verdict = judge(results)
+    published = [] if verdict is None else [value_rows(verdict), order_rows(verdict)]
     names = manifest.get("config", {}).get("figures")
     shown = [_embed(drawn) for drawn in each_figure(results, names)]
     return environment.get_template("report.html.j2").render(
@@ -93,6 +97,8 @@ def report_html(results: Results) -> str:
         columns=columns,
         summary_rows=_with_intervals(_rows(summary, swept), list(summary.columns), results),
         search=_search_text(manifest),
+        verdict=verdict,
+        published=[(list(table.columns), _rows(table, swept)) for table in published if len(table)],
         certainty_headers=list(certainty.columns),
         certainty_rows=_rows(certainty, swept),
         fault_headers=list(faults.columns),
