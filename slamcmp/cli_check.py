@@ -48,6 +48,7 @@ def _parameters(back_end: str, settings: list[str]) -> dict[str, Any]:
     """The back end's keyword arguments from ``name=value`` texts, checked as a configuration's are."""
     from pydantic import ValidationError
     from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
 
     from slamcmp.experiment.plugin_models import bind_parameters
     from slamcmp.registry import back_ends
@@ -57,7 +58,11 @@ def _parameters(back_end: str, settings: list[str]) -> dict[str, Any]:
         name, equals, value = setting.partition("=")
         if not equals:
             raise UsageError(f"--set {setting!r}: NAME=VALUE is needed, e.g. --set relinearize_skip=10")
-        given[name] = YAML(typ="safe").load(value)
+        try:
+            given[name] = YAML(typ="safe").load(value)
+        except YAMLError as error:
+            what = (getattr(error, "problem", None) or str(error)).replace("\n", " ")
+            raise UsageError(f"--set {setting!r}: {value!r} is not a YAML value: {what}") from error
     plugin = back_ends.get(back_end)
     try:
         return bind_parameters(plugin, given)

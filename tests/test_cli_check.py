@@ -38,6 +38,7 @@ def test_a_fault_gives_exit_code_1_and_its_cause(tmp_path: Path) -> None:
 
 def test_usage_errors_give_exit_code_2(tmp_path: Path) -> None:
     for arguments, message in (
+        (["ekf_slam", "--set", "gate=["], "--set 'gate=[': '[' is not a YAML value: "),
         (["isam"], "did you mean 'isam2'?"),
         (["isam2", "--set", "relinearize_skip=x"], "relinearize_skip: Input should be a valid integer"),
         (["isam2", "--set", "relinearize_skip"], "NAME=VALUE is needed"),
