@@ -125,6 +125,8 @@ class Experiment:
     published: Published | None = None
     question: str = ""
     description: str = ""
+    path: Path | None = None
+    """Of the file, absolute; None for one made in a program."""
 
     def with_seeds(self, seeds: Sequence[int]) -> Experiment:
         """The same on exactly these seeds.
@@ -249,6 +251,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         published=published,
         question=fields.question,
         description=fields.description,
+        path=path.resolve(),
     )
 
 

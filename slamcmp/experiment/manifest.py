@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 import platform
 import subprocess
 import sys
@@ -10,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import slamcmp
+from slamcmp.errors import UsageError
 from slamcmp.experiment.config import Experiment
 from slamcmp.experiment.content_key import PACKAGE, versions
+from slamcmp.experiment.store import finite
 
 
 def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
@@ -28,6 +31,7 @@ def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
         "platform": platform.platform(),
         "python": sys.version.split()[0],
         "config": experiment.as_dict(),
+        "config_file": None if experiment.path is None else str(experiment.path),
         "seeds": [seed for seed in experiment.seeds if seed is not None],
     }
 
@@ -35,6 +39,30 @@ def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
 def now() -> str:
     """The time in UTC, ISO 8601 to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def require_same_experiment(experiment: Experiment, folder: Path) -> None:
+    """Keep one experiment from replacing the results of another that only has the same name.
+
+    Two files are the same experiment where both ask the same, or where the first is no longer at its place:
+    a file may change, and may move.
+
+    Raises:
+        UsageError: the folder holds the results of another file.
+    """
+    try:
+        known = json.loads((folder / "manifest.json").read_text())
+        file, config = known.get("config_file"), known.get("config")
+    except (OSError, ValueError, AttributeError):
+        return
+    if experiment.path is None or file is None or Path(file) == experiment.path or not Path(file).is_file():
+        return
+    if config == json.loads(json.dumps(finite(experiment.as_dict()), default=str)):
+        return
+    raise UsageError(
+        f"{folder} holds the results of {file}, a different experiment of the same name; these of "
+        f"{experiment.path} need a 'name:' of their own, or another folder with --results"
+    )
 
 
 def commit() -> dict[str, Any] | None:
@@ -50,7 +78,8 @@ def commit() -> dict[str, Any] | None:
         return asked.stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", PACKAGE.name)
+        # A new file under the package is code that the commit does not name, a back end say.
+        changed = git("status", "--porcelain", "--untracked-files=all", "--", PACKAGE.name)
         return {"sha": git("rev-parse", "HEAD"), "dirty": bool(changed)}
     except (OSError, subprocess.SubprocessError):
         return None

@@ -20,7 +20,7 @@ from slamcmp.experiment.config import Experiment, load_experiment
 from slamcmp.experiment.content_key import versions
 from slamcmp.experiment.executors import Ended, Executor
 from slamcmp.experiment.interruption import interruptions
-from slamcmp.experiment.manifest import describe_origin, now
+from slamcmp.experiment.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.memory import machine_memory_mb
 from slamcmp.experiment.progress import Watcher, watching
 from slamcmp.experiment.run_file import StoredRun, load_run, load_truth, run_status, save_run
@@ -142,6 +142,7 @@ def run_experiment(
     workers: Executor = place.target(slots=slots)
     rounds = _Rounds()
     with locked(folder), interruptions(catch=not place.traits.get("in_process", False)) as stop:
+        require_same_experiment(experiment, folder)
         try:
             rounds.run_all(experiment, folder, workers, stop, rerun_failed=rerun_failed, progress=progress)
         except KeyboardInterrupt:

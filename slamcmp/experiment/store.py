@@ -60,16 +60,16 @@ def save_results(results: Results) -> None:
                 f"{path}: the table of {name} has a column that Parquet cannot hold ({error}); the runs "
                 f"themselves are kept in {results.folder / 'runs'}"
             ) from error
-    text = json.dumps(_finite(results.manifest), indent=2, default=str, allow_nan=False)
+    text = json.dumps(finite(results.manifest), indent=2, default=str, allow_nan=False)
     write_atomically(results.folder / MANIFEST, lambda file: file.write(text.encode()))
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """JSON has no infinity: as text, like YAML writes it."""
     if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
+        return {key: finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [finite(each) for each in value]
     return f"{value}" if isinstance(value, float) and not math.isfinite(value) else value
 
 
