@@ -14,6 +14,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from slamcmp.errors import UsageError
 from slamcmp.frontend.landmark_tracks import LandmarkTracks
 from slamcmp.registry import front_ends
 from slamcmp.types import Detections, Frame, FrontEndReport, Log, MeasurementStream
@@ -52,7 +53,15 @@ def labelled(
 
     Returns:
         The stream; its report counts what each stage removed in each frame.
+
+    Raises:
+        UsageError: no range is between the smallest and the largest.
     """
+    if range_min_m >= range_max_m:
+        raise UsageError(
+            f"range_min_m is {range_min_m:g} and range_max_m {range_max_m:g}: "
+            "the largest range must be above the smallest"
+        )
     sensor = log.problem.sensor
     threshold = np.inf if gate_probability is None else float(chdtri(sensor.dim, 1.0 - gate_probability))
     uses_tracks = gate_probability is not None or min_sightings > 1

@@ -20,7 +20,7 @@ from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
 from slamcmp.types import Log
 from slamcmp.worlds import paths
-from slamcmp.worlds.settings import NotNegative, Positive, Settings
+from slamcmp.worlds.settings import NotNegative, Positive, Settings, field_docs
 from slamcmp.worlds.simulate import World, simulate
 
 FloatArray = NDArray[np.float64]
@@ -71,7 +71,7 @@ def planar_world(name: str, **defaults: Any) -> Callable[[Builder], Source]:
         seed = inspect.Parameter("seed", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=int)
         parameters = [seed, *own.values(), *shared.values()]
         source.__signature__ = inspect.Signature(parameters, return_annotation=Log)  # type: ignore[attr-defined]
-        return sources.register(name, seeded=True)(source)
+        return sources.register(name, seeded=True, parameter_docs=field_docs)(source)
 
     return decorate
 
@@ -93,6 +93,11 @@ def circle(
     ``annulus_min_m`` and ``annulus_max_m`` from the path, outside or inside with equal chance; on a path
     of a smaller radius than that, inside goes on beyond the centre.
     """
+    if annulus_min_m > annulus_max_m:
+        raise UsageError(
+            f"annulus_min_m is {annulus_min_m:g} and annulus_max_m {annulus_max_m:g}: "
+            "the largest distance must not be below the smallest"
+        )
     turn = math.radians(settings.turn_deg_s)
     radius = settings.speed_m_s / turn
     controls = np.tile([settings.speed_m_s, turn], (settings.steps - 1, 1))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Interval
@@ -86,3 +89,17 @@ class Settings:
                 "range_min_m and noise_scale must be positive, steps at least 2, landmarks at least 1; "
                 f"given {self.range_min_m}, {self.noise_scale}, {self.steps}, {self.landmarks}"
             )
+
+
+def field_docs() -> dict[str, str]:
+    """What stands below each field of :class:`Settings` that has such a text."""
+    (definition,) = ast.parse(inspect.getsource(Settings)).body
+    assert isinstance(definition, ast.ClassDef)
+    return {
+        field.target.id: inspect.cleandoc(text.value.value).replace("\n", " ")
+        for field, text in pairwise(definition.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+    }

@@ -7,6 +7,7 @@ import pytest
 from scipy.special import chdtri
 
 from slamcmp import geometry
+from slamcmp.errors import UsageError
 from slamcmp.frontend.labelled import STAGES, labelled
 from slamcmp.frontend.landmark_tracks import LandmarkTracks
 from slamcmp.models.sensors import make_sensor
@@ -182,3 +183,9 @@ def test_works_in_the_plane_and_in_space(space_dim: int) -> None:
         rejected += int(tracks.test(np.arange(6), z, R).rejected.sum())
     # 300 tests at a false rejection rate of 1e-4: more than one has probability 5e-4.
     assert rejected <= 1
+
+
+@pytest.mark.parametrize("largest", [2.0, 1.5])
+def test_ranges_that_leave_nothing_are_refused(largest: float) -> None:
+    with pytest.raises(UsageError, match=rf"range_min_m is 2 and range_max_m {largest:g}: "):
+        labelled(log_of([(1, 2.0, 0.0)]), 0, range_min_m=2.0, range_max_m=largest)

@@ -18,6 +18,7 @@ from slamcmp.models.motion import Unicycle, increment_covariance
 from slamcmp.models.sensors import RangeBearing
 from slamcmp.registry import sources
 from slamcmp.types import Frame, Log, MeasurementStream
+from slamcmp.worlds.settings import Settings, field_docs
 
 WORLDS = ["circle", "corridor", "figure_eight", "lawnmower", "random"]
 ODOMETRY = ["unicycle", "straight_then_turn", "bicycle", "encoders"]
@@ -464,3 +465,15 @@ def test_walk_in_a_square_smaller_than_the_turning_circle_is_refused() -> None:
     with pytest.raises(UsageError, match=r"half_size_m is 20: .* within 38\.2 m .*; 31\.8 or more"):
         make("random", turn_deg_s=3.0)
     assert len(make("random", turn_deg_s=3.0, half_size_m=31.9, steps=2000).t) == 2000
+
+
+def test_annulus_whose_bounds_are_swapped_is_refused() -> None:
+    with pytest.raises(UsageError, match="annulus_min_m is 6 and annulus_max_m 5: "):
+        make("circle", annulus_min_m=6.0)
+
+
+def test_texts_of_the_settings_are_found() -> None:
+    docs = field_docs()
+    assert docs["turn_deg_s"] == "Turn rate in bends: with the speed it sets their radius."
+    assert "steering_sigma_deg" in docs
+    assert docs.keys() <= Settings.__dataclass_fields__.keys()
