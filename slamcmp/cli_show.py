@@ -45,13 +45,18 @@ def list_plugins(
     kind: Annotated[
         str | None, typer.Argument(help=f"One of {', '.join(KINDS)}, experiments; default: all.")
     ] = None,
-    name: Annotated[str | None, typer.Argument(help="A plug-in, to see its parameters.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="A plug-in, to see its parameters, or an experiment.")
+    ] = None,
 ) -> None:
     """List what experiments can be made of, or the parameters of one plug-in."""
     if kind is not None and kind not in (*KINDS, "experiments"):
         raise UsageError(f"unknown kind {kind!r}{did_you_mean(kind, [*KINDS, 'experiments'])}")
     if name is not None and kind in KINDS:
         _print_parameters(KINDS[kind].get(name))
+        return
+    if name is not None:
+        _print_experiment(name)
         return
     for each in (*KINDS, "experiments") if kind is None else (kind,):
         if kind is None:
@@ -93,6 +98,18 @@ def _experiments() -> list[tuple[str, str]]:
     ]
 
 
+def _print_experiment(name: str) -> None:
+    """Its file as it is: the comments say what the keys mean.
+
+    Raises:
+        MissingDataError: there is no experiment of that name.
+    """
+    from slamcmp.experiment.shipped import find_experiment
+
+    path = find_experiment(name)
+    print(f"# {path}\n{path.read_text(encoding='utf-8')}", end="")
+
+
 def _print_pairs(pairs: list[tuple[str, str]], indent: str) -> None:
     width = max((len(name) for name, _ in pairs), default=0)
     for name, text in pairs:
@@ -109,7 +126,14 @@ def _print_parameters(plugin: Plugin) -> None:
     parameters = plugin.parameters()
     if parameters:
         print("\nParameters:")
-        _print_pairs([(name, _described(parameter)) for name, parameter in parameters.items()], "  ")
+        docs = plugin.traits.get("parameter_docs", dict)()
+        _print_pairs(
+            [
+                (name, _described(parameter) + (f". {docs[name]}" if name in docs else ""))
+                for name, parameter in parameters.items()
+            ],
+            "  ",
+        )
 
 
 def _described(parameter: inspect.Parameter) -> str:

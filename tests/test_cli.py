@@ -234,6 +234,16 @@ def test_list_names_everything_and_shows_parameters(tmp_path: Path) -> None:
     shown = call(tmp_path, "list", "sources", "circle").stdout
     (line,) = [line for line in shown.splitlines() if line.strip().startswith("range_max_m")]
     assert line.split(maxsplit=1)[1] == "number > 0, default 8.0"
+    (line,) = [line for line in shown.splitlines() if line.strip().startswith("turn_deg_s")]
+    assert line.split(maxsplit=1)[1] == (
+        "number > 0, default 6.0. Turn rate in bends: with the speed it sets their radius."
+    )
+    shown = call(tmp_path, "list", "experiments", "quickstart").stdout
+    assert shown.startswith(f"# {ROOT / 'experiments' / 'quickstart.yaml'}\n")
+    assert (ROOT / "experiments" / "quickstart.yaml").read_text() in shown
+    unknown = call(tmp_path, "list", "experiments", "foo")
+    assert (unknown.returncode, unknown.stdout) == (3, "")
+    assert "there is no experiment file 'foo'" in unknown.stderr
 
 
 def test_doctor_finds_this_machine_well(tmp_path: Path) -> None:
