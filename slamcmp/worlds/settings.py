@@ -96,7 +96,7 @@ def field_docs() -> dict[str, str]:
     (definition,) = ast.parse(inspect.getsource(Settings)).body
     assert isinstance(definition, ast.ClassDef)
     return {
-        field.target.id: inspect.cleandoc(text.value.value).replace("\n", " ")
+        field.target.id: inspect.cleandoc(str(text.value.value)).replace("\n", " ")
         for field, text in pairwise(definition.body)
         if isinstance(field, ast.AnnAssign)
         and isinstance(field.target, ast.Name)
