@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import slamcmp
+from slamcmp.atomic import write_atomically
 from slamcmp.errors import MissingDataError, UsageError
-from slamcmp.experiment.atomic import write_atomically
 from slamcmp.grading.hand_in import Collector
 
 PACKAGE = Path(slamcmp.__file__).parent

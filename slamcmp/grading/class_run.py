@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from slamcmp.atomic import write_atomically
 from slamcmp.errors import SlamcmpError, UsageError
-from slamcmp.experiment.atomic import write_atomically
 from slamcmp.experiment.content_key import code_version, versions
 from slamcmp.experiment.progress import Watcher
 from slamcmp.grading.class_folder import Submitted, digest_of_folder, digest_of_submission, find_submissions

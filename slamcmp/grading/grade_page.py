@@ -7,7 +7,7 @@ from pathlib import Path
 
 import jinja2
 
-from slamcmp.experiment.atomic import write_atomically
+from slamcmp.atomic import write_atomically
 from slamcmp.grading.grade_images import data_uri
 from slamcmp.grading.junit import Audience
 from slamcmp.grading.outcome import GradeOutcome, Plot, TestOutcome

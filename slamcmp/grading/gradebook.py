@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from slamcmp.experiment.atomic import write_atomically
+from slamcmp.atomic import write_atomically
 from slamcmp.grading.outcome import GradeOutcome
 from slamcmp.grading.student_view import clean, rounded, total
 

@@ -13,7 +13,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from slamcmp.experiment.atomic import write_atomically
+from slamcmp.atomic import write_atomically
 from slamcmp.grading.grade_images import data_uri
 from slamcmp.grading.outcome import GradeOutcome, TestOutcome, TestStatus
 from slamcmp.grading.student_view import (

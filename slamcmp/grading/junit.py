@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Literal
 
-from slamcmp.experiment.atomic import write_atomically
+from slamcmp.atomic import write_atomically
 from slamcmp.grading.outcome import GradeOutcome, TestOutcome, TestStatus
 from slamcmp.grading.student_view import STATUS_WORDS, clean, opening, points, visible_tests
 

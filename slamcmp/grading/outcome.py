@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from slamcmp.atomic import write_atomically
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.experiment.atomic import write_atomically
 
 TestStatus = Literal["passed", "partial", "failed", "error", "timed_out", "skipped"]
 Visibility = Literal["visible", "hidden", "after_due_date", "after_published"]

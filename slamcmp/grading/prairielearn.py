@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from slamcmp.experiment.atomic import write_atomically
+from slamcmp.atomic import write_atomically
 from slamcmp.grading.grade_images import data_uri
 from slamcmp.grading.outcome import GradeOutcome, TestOutcome
 from slamcmp.grading.student_view import STATUS_WORDS, TEXT_MAX, clean, opening, rounded, total, visible_tests
