@@ -70,7 +70,7 @@ class Constraint:
     """N^T r."""
 
 
-@back_ends.register("msckf")
+@back_ends.register("msckf", closes_loops=False)
 class Msckf:
     """MSCKF-style filter: a window of poses, landmarks marginalised as their tracks end.
 

@@ -21,7 +21,7 @@ from slamcmp.experiment.conformance_checks import (
 )
 from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends
-from slamcmp.types import Problem
+from slamcmp.types import GroundTruth, Problem
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,13 @@ def _open(plugin: Plugin, parameters: Mapping[str, Any]) -> tuple[Bench | None, 
         merged = {**COMMON, **settings}
         stream, truth = make_world(merged, seed=0)
 
-        def make(problem: Problem) -> BackEnd:
-            made: BackEnd = plugin.target(problem, **parameters)
+        def make(problem: Problem, truth: GroundTruth) -> BackEnd:
+            told = (truth,) if plugin.traits.get("needs_truth") else ()
+            made: BackEnd = plugin.target(problem, *told, **parameters)
             return made
 
         try:
-            back_end = make(stream.problem)
+            back_end = make(stream.problem, truth)
             missing = [method for method in ("update", "estimate") if not hasattr(back_end, method)]
             if missing:
                 return None, Finding(title, False, f"has no method {' and no '.join(missing)}")
@@ -93,7 +94,9 @@ def _open(plugin: Plugin, parameters: Mapping[str, Any]) -> tuple[Bench | None, 
             continue
         except Exception as error:
             return None, Finding(title, False, _describe(error))
-        return Bench(make, kind, merged, stream, truth), Finding(title, True, f"on a {kind} problem")
+        closes_loops = bool(plugin.traits.get("closes_loops", True))
+        bench = Bench(make, kind, merged, stream, truth, closes_loops)
+        return bench, Finding(title, True, f"on a {kind} problem")
     return None, Finding(title, False, "accepts no kind of problem: " + "; ".join(refusals))
 
 

@@ -36,7 +36,20 @@ def test_the_readme_example_passes_every_check(tmp_path: Path) -> None:
     assert len(example().splitlines()) <= 33
 
 
-@pytest.mark.parametrize("name", ["ekf_slam", "kalman_filter", "isam2", "batch", "fixed_lag"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ekf_slam",
+        "ekf_ideal",
+        "iterated_ekf",
+        pytest.param("sliding_window", marks=pytest.mark.slow),
+        "msckf",
+        "kalman_filter",
+        "isam2",
+        "batch",
+        "fixed_lag",
+    ],
+)
 def test_every_registered_back_end_passes(name: str) -> None:
     assert [finding for finding in check_back_end(name) if not finding.passed] == []
 
