@@ -135,6 +135,9 @@ ENSEMBLE_METRICS: dict[str, EnsembleMetric] = {
         "1", "Mean NEES of the position over runs and frames, divided by 2", _position_nees, "mean"
     ),
     "ensemble_nees_pose": EnsembleMetric(
-        "1", "Mean NEES of the pose over runs and frames, divided by 3 (6 in space)", _pose_nees, "mean"
+        "1",
+        "Mean NEES of the pose in the body tangent over runs and frames, divided by 3 (6 in space)",
+        _pose_nees,
+        "mean",
     ),
 }

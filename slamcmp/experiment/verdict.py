@@ -4,10 +4,11 @@ A value is *inside* where it differs from the published one by at most the metri
 measured value of an ``ensemble_…`` metric is over all ok runs together; of any other metric it is the mean
 over the ok runs.
 
-An order, from best to worst, is judged between neighbours, on the seeds both finished. One value a run goes
-into the median paired difference (worse minus better) and its 95 % interval. A pair is *held* where the
-interval lies above 0, *violated* where it lies below, *not significant* where it contains 0, and *too few
-runs* where there is no interval (below six). The whole order is
+An order, from best to worst, is judged between neighbours, on the seeds both finished: worse minus better,
+the difference of the published statistic itself (of root mean squares over the runs, of means), with the 95 %
+bootstrap interval that draws whole runs, both back ends' together. A pair is *held* where the interval lies
+above 0, *violated* where it lies below, *not significant* where it contains 0, and *too few runs* below six.
+The whole order is
 
 * violated, where a pair is, or where ``worst_factor`` is asked for and the last back end's value is less
   than so many times the value of the one before it;
@@ -20,15 +21,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from slamcmp.experiment.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
 from slamcmp.experiment.published import Published, PublishedOrder
 from slamcmp.experiment.store import Results
-from slamcmp.metrics.statistics import Interval, paired_interval
+from slamcmp.metrics.statistics import Interval, bootstrap_interval
+
+FloatArray = NDArray[np.float64]
+
+FEWEST_PAIRS = 6
+"""Below, an interval over runs says nothing."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ class PairVerdict:
     better: str
     worse: str
     difference: Interval
-    """Worse minus better: the median over paired seeds, with its interval."""
+    """Worse minus better, over paired seeds, with its interval."""
     verdict: str
     """``held``, ``not significant``, ``violated`` or ``too few runs``."""
 
@@ -143,12 +151,26 @@ def _judge_order(order: PublishedOrder, measured: _Measured, point: Mapping[str,
         both = pd.concat(
             [measured.by_run(order.metric, label, point) for label in (worse, better)], axis=1, join="inner"
         )
-        difference = paired_interval(both.iloc[:, 0], both.iloc[:, 1])
+        average = ENSEMBLE_METRICS[order.metric].average if order.metric in ENSEMBLE_METRICS else "mean"
+        difference = _difference(*both.to_numpy(float).T, squares=average != "mean")
         pairs.append(PairVerdict(better, worse, difference, _pair_verdict(difference)))
     before, last = (measured.value(order.metric, label, point) for label in order.labels[-2:])
     factor = last / before if before > 0 else math.nan
     verdict = _order_verdict([pair.verdict for pair in pairs], factor, order.worst_factor)
     return OrderVerdict(order.metric, dict(point), tuple(pairs), factor, order.worst_factor, verdict)
+
+
+def _difference(worse: FloatArray, better: FloatArray, *, squares: bool) -> Interval:
+    """Of root mean squares (``squares``) or means over the runs in which both values are finite."""
+    usable = np.isfinite(worse) & np.isfinite(better)
+    pairs = np.stack([worse, better])[:, usable] ** (2 if squares else 1)
+
+    def statistic(runs: FloatArray, axis: int) -> Any:
+        over, under = pairs[:, runs.astype(int)].mean(axis=axis)
+        return np.sqrt(over) - np.sqrt(under) if squares else over - under
+
+    found = bootstrap_interval(np.arange(usable.sum()), statistic)
+    return found if found.runs >= FEWEST_PAIRS else replace(found, low=math.nan, high=math.nan)
 
 
 def _pair_verdict(difference: Interval) -> str:

@@ -45,9 +45,7 @@ def order_rows(verdict: PublishedVerdict) -> pd.DataFrame:
                     **order.at,
                     "better": pair.better,
                     "worse": pair.worse,
-                    "median difference": number_text(pair.difference.estimate)
-                    if pair.difference.runs
-                    else "",
+                    "difference": number_text(pair.difference.estimate) if pair.difference.runs else "",
                     "95 % of it": interval_text(pair.difference),
                     "pairs": pair.difference.runs,
                     "verdict": pair.verdict,
