@@ -34,6 +34,12 @@ def estimate_s(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: AR
     return float(run.estimate_s.sum())
 
 
+@metrics.register("final_solution_s", unit="s", header="final solution", **_COST)
+def final_solution_s(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
+    """Wall time of the trajectory with hindsight, asked for once after the last frame."""
+    return run.final_s if run.final is not None else math.nan
+
+
 @metrics.register("update_median_ms", unit="ms", header="update, median", **_COST)
 def update_median_ms(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
     """Median wall time of one update."""

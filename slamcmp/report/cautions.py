@@ -51,7 +51,9 @@ def cautions(results: Results) -> list[Caution]:
         _warnings(results),
         _failed(results),
         _healthy_but_far(results),
+        _borrowed_online_column(results),
         _few_runs(results),
+        _shared_machine(results),
         _unequal_streams(results),
     ]
     return [caution for caution in found if caution is not None]
@@ -194,4 +196,34 @@ def _unequal_streams(results: Results) -> Caution | None:
     return Caution(
         "Back ends of one trial did not get the same measurements",
         f"The digests differ in trial {', '.join(mixed)}: those rows must not be compared.",
+    )
+
+
+def _borrowed_online_column(results: Results) -> Caution | None:
+    """A batch solver that solves once has nothing of its own to say while frames come in."""
+    back_ends = results.manifest.get("config", {}).get("back_ends", [])
+    borrowed = [
+        each.get("label", "batch")
+        for each in back_ends
+        if each.get("name") == "batch" and not each.get("every")
+    ]
+    if not borrowed:
+        return None
+    return Caution(
+        f"{', '.join(borrowed)}: the online column is the warm start's",
+        "This back end solves once, after the last frame. Until then it answers with its warm start (iSAM2, "
+        "or dead reckoning), so its online column says nothing about batch; its own result is the final "
+        "column, and the time of the final solution stands apart from the updates. every: 1 solves at each "
+        "frame.",
+    )
+
+
+def _shared_machine(results: Results) -> Caution | None:
+    """Jobs side by side disturb each other's times; errors and covariances they leave alone."""
+    jobs = results.manifest.get("jobs") or 1
+    if jobs < 2:
+        return None
+    return Caution(
+        f"Times were measured with {jobs} jobs side by side",
+        "They show orders of magnitude. To compare times, run with --jobs 1 on a quiet machine.",
     )

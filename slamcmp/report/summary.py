@@ -33,6 +33,7 @@ RUN_METRICS = (
     "update_p95_ms",
     "update_s",
     "estimate_s",
+    "final_solution_s",
     "peak_memory_mb",
 )
 STATUSES = ("diverged", "crashed", "timed_out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -59,6 +60,13 @@ def test_cost(straight):
     assert scores["peak_memory_mb"] == 12
 
 
+def test_time_of_the_final_solution_is_told_where_there_is_one(straight, run_of):
+    run, truth = straight
+    assert run.final is not None
+    assert score_run(dataclasses.replace(run, final_s=0.25), truth)["final_solution_s"] == 0.25
+    assert math.isnan(score_run(dataclasses.replace(run, final=None), truth)["final_solution_s"])
+
+
 def test_without_truth_only_what_needs_none_is_scored(straight):
     run, _ = straight
     known = {name for name, value in score_run(run, None).items() if not math.isnan(value)}
@@ -67,6 +75,7 @@ def test_without_truth_only_what_needs_none_is_scored(straight):
         "completion",
         "update_s",
         "estimate_s",
+        "final_solution_s",
         "update_median_ms",
         "update_p95_ms",
         "estimate_median_ms",

@@ -238,6 +238,19 @@ def test_page_shows_intervals_the_search_and_the_faults(swept):
     assert f'<span class="note">{low} to {high}</span>' in text
 
 
+def test_cautions_tell_whose_online_column_it_is_and_how_times_were_measured(one_trial):
+    def titles(**manifest):
+        changed = dataclasses.replace(one_trial, manifest={**one_trial.manifest, **manifest})
+        return [caution.title for caution in cautions(changed)]
+
+    once = {"back_ends": [{"name": "batch", "label": "MAP", "every": 0}, {"name": "ekf_slam"}]}
+    always = {"back_ends": [{"name": "batch", "label": "MAP", "every": 1}]}
+    assert "MAP: the online column is the warm start's" in titles(config=once)
+    assert not [title for title in titles(config=always) if "warm start" in title]
+    assert "Times were measured with 2 jobs side by side" in titles(jobs=2)
+    assert not [title for title in titles(jobs=1) if title.startswith("Times")]
+
+
 def test_cautions_name_unequal_streams(one_trial):
     trials = one_trial.trials.copy()
     trials.loc[0, "digest"] = "f" * 64
