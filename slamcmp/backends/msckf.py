@@ -4,7 +4,8 @@ The opposite choice to EKF-SLAM: there poses are marginalised and landmarks kept
 marginalised the moment it ends. All its observations act at once as constraints between the poses that made
 them, after the landmark itself is projected out (Mourikis and Roumeliotis 2007, "A multi-state constraint
 Kalman filter for vision-aided inertial navigation", sec. III-D). The cost of a frame does not grow with the
-map, but a place seen again is a new landmark: nothing closes a loop longer than the window.
+map, but a place seen again is a new landmark: nothing closes a loop longer than the window. Errors of poses
+are additive in the world, as in ``ekf_slam``, and written in the poses' own axes.
 
 ========  =====================================================================
 symbol    meaning
@@ -14,6 +15,7 @@ T, P      the window's poses (K, n+1, n+1), oldest first, and their joint
 z, R      observations of a track and their covariances
 H_x, H_f  a track's whitened Jacobians by the poses (m d, K p), the landmark (m d, n)
 r         whitened residual, (m d,)
+J         turns the poses' errors into the axes of the corrected poses
 N         basis of the left null space of H_f, N^T H_f = 0
 G         (H_f^T H_f)^-1 H_f^T H_x: how the landmark follows the poses
 S         innovation covariance
@@ -31,9 +33,10 @@ from annotated_types import Ge
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
+from slamcmp.backends.covariance import block_diagonal
 from slamcmp.backends.whitening import whiteners
 from slamcmp.errors import DivergedError
-from slamcmp.geometry import adjoint_of_inverse, exp
+from slamcmp.geometry import adjoint_of_inverse, retract_in_world_axes
 from slamcmp.protocols import SensorModel
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
@@ -207,14 +210,13 @@ class Msckf:
                 "residual not finite"
             )
         step = W_t.T @ e
-        self._P = self._P - W_t.T @ W_t
-        self._T = self._T @ exp(step.reshape(-1, self._p))
+        P = self._P - W_t.T @ W_t
         for constraint in used:
             G = constraint.G
-            self._map[constraint.landmark] = (
-                constraint.position - G @ step,
-                constraint.own + G @ self._P @ G.T,
-            )
+            self._map[constraint.landmark] = (constraint.position - G @ step, constraint.own + G @ P @ G.T)
+        self._T, turns = retract_in_world_axes(self._T, step.reshape(-1, self._p))
+        J = block_diagonal(turns)
+        self._P = J @ P @ J.T
 
 
 def triangulate(sensor: SensorModel, poses: FloatArray, z: FloatArray, W: FloatArray) -> FloatArray | None:
