@@ -31,6 +31,7 @@ from slamcmp.grading.grade_process import (
 from slamcmp.grading.gradescope import write_gradescope_results
 from slamcmp.grading.outcome import GradeOutcome, load_outcome
 from slamcmp.grading.prairielearn import write_prairielearn_results
+from slamcmp.grading.sandbox.staging import own_prefix
 from slamcmp.grading.student_view import STATUS_WORDS, clean, points, total
 
 Writer = Callable[[GradeOutcome, Path], None]
@@ -191,7 +192,7 @@ def _supervise(
 ) -> tuple[GradeOutcome, Ended, str]:
     """The outcome, how it ended, and what the grader printed; the result file follows each test."""
     stopped: list[int] = []
-    folder = Path(tempfile.mkdtemp(prefix="slamcmp-autograder-"))
+    folder = Path(tempfile.mkdtemp(prefix=own_prefix()))
     before = signal.signal(signal.SIGTERM, lambda number, _: stopped.append(number))
     try:
         path, log = folder / "outcome.json", folder / "grader.log"

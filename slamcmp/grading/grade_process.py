@@ -28,6 +28,7 @@ from typing import Any, Literal
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.executors import THREAD_VARIABLES
 from slamcmp.grading.outcome import GradeOutcome, TestOutcome, load_outcome, save_outcome
+from slamcmp.grading.sandbox.staging import own_prefix, remove_stale
 
 Ending = Literal["ok", "crashed", "timed_out", "refused"]
 
@@ -79,7 +80,8 @@ class GradeProcess:
         self._log = log
         self._over = False
         self._began = time.monotonic()
-        self._scratch = Path(tempfile.mkdtemp(prefix="slamcmp-grade-"))
+        remove_stale()
+        self._scratch = Path(tempfile.mkdtemp(prefix=own_prefix()))
         # Other users have to pass through to the submission's own folder, and see no other.
         self._scratch.chmod(0o711)
         environment = {**os.environ, "TMPDIR": str(self._scratch), "PYTHONUNBUFFERED": "1"}

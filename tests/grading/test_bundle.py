@@ -54,7 +54,7 @@ def autograder(bundle: Path) -> Iterator[Path]:
     """``/autograder`` as the platform lays it out, elsewhere; this interpreter stands in for its own."""
     root = Path(tempfile.mkdtemp(prefix="autograder-"))
     root.chmod(0o755)
-    for name in ("source", "submission", "results"):
+    for name in ("source", "submission", "results", "tmp"):
         (root / name).mkdir()
     with zipfile.ZipFile(bundle) as archive:
         for entry in archive.infolist():
@@ -86,6 +86,7 @@ def _start(root: Path, script: str = "run_autograder", user: str = "ourselves") 
         "HOME": "/nonexistent",
         "AUTOGRADER_ROOT": str(root),
         "PIP_NO_INDEX": "1",
+        "TMPDIR": str(root / "tmp"),
     }
     return subprocess.Popen(
         words, env=environment, cwd="/", stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -184,7 +185,9 @@ def test_the_self_test_fails_where_the_solution_does_not_get_all_points(
     autograder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solution = autograder / "source/assignments/toy/solution/solution.py"
-    solution.write_text(solution.read_text() + "import random\ndef half(x): return random.random()\n")
+    # Right where the expected values are computed, wrong in the sandbox.
+    where = "x / 2.0 if 'slamcmp.grading.grader' in sys.modules else 0.0"
+    solution.write_text(f"{solution.read_text()}\nimport sys\ndef half(x): return {where}\n")
     monkeypatch.setenv("AUTOGRADER_ROOT", str(autograder))
     with pytest.raises(DataError, match="self-test failed: the solution got 20 of 30 points"):
         self_test(gradescope_layout())
@@ -313,6 +316,15 @@ def test_equal_content_makes_an_equal_bundle_and_nobody_else_reads_it(tmp_path: 
     assert {"setup.sh", "run_autograder", "constraints.txt", "requirements.txt", "secret"} <= names
     assert "package/slamcmp/grading/templates/grade.html.j2" in names
     assert not [name for name in names if "pycache" in name]
+
+
+def test_without_a_checkout_the_installed_versions_are_pinned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slamcmp.grading.bundle.PACKAGE", tmp_path / "slamcmp")
+    lines = constraints().splitlines()
+    assert f"numpy=={np.__version__}" in lines
+    assert not [line for line in lines if line.startswith("slamcmp==")]
 
 
 def test_what_is_not_there_is_said(tmp_path: Path) -> None:

@@ -299,3 +299,13 @@ def test_the_summary_counts_scores_and_failures() -> None:
     assert (track.submissions, track.message_count) == (2, 2)
     assert track.message == "Your innovation is not wrapped: bearing residual # rad at step #"
     assert track.lost == pytest.approx(1 - (2 * 12.345649 + 30) / 90)
+
+
+def test_what_a_killed_run_left_is_cleared_by_a_later_one(place: Path) -> None:
+    left = [place / "tmp" / f"slamcmp-{pid}-abc" for pid in (2**22 + 1, os.getpid())]
+    for folder in left:
+        folder.mkdir()
+        os.utime(folder, (0, 0))
+    _small_class(place, ada=HONEST)
+    _run(place)
+    assert [folder.exists() for folder in left] == [False, True], "one of a living process stays"

@@ -25,8 +25,8 @@ class Staging:
 
     def __init__(self, files: Mapping[str, bytes], group: int | None) -> None:
         try:
-            _remove_stale()
-            self._base = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}-")).resolve()
+            remove_stale()
+            self._base = Path(tempfile.mkdtemp(prefix=own_prefix())).resolve()
         except OSError as error:
             raise SandboxUnavailable(f"no temporary folder for the sandbox: {error}") from error
         self._base.chmod(0o755)
@@ -64,7 +64,12 @@ class Staging:
         path.chmod(mode)
 
 
-def _remove_stale() -> None:
+def own_prefix() -> str:
+    """How temporary folders of this process begin, so that :func:`remove_stale` knows them."""
+    return f"{_PREFIX}{os.getpid()}-"
+
+
+def remove_stale() -> None:
     """Remove what a grader that was killed has left, once it is old and its process is gone."""
     with os.scandir(tempfile.gettempdir()) as entries:
         for entry in entries:
