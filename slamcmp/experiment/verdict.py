@@ -7,7 +7,7 @@ over the ok runs.
 An order, from best to worst, is judged between neighbours, on the seeds both finished: worse minus better,
 the difference of the published statistic itself (of root mean squares over the runs, of means), with the 95 %
 bootstrap interval that draws whole runs, both back ends' together. A pair is *held* where the interval lies
-above 0, *violated* where it lies below, *not significant* where it contains 0, and *too few runs* below six.
+above 0, *violated* where it lies below, *not significant* where it contains 0, and *too few runs* below 20.
 The whole order is
 
 * violated, where a pair is, or where ``worst_factor`` is asked for and the last back end's value is less
@@ -35,8 +35,8 @@ from slamcmp.metrics.statistics import Interval, bootstrap_interval
 
 FloatArray = NDArray[np.float64]
 
-FEWEST_PAIRS = 6
-"""Below, an interval over runs says nothing."""
+FEWEST_PAIRS = 20
+"""Of fewer, the bootstrap interval of a root mean square, which a few runs decide, is far too narrow."""
 
 
 @dataclass(frozen=True)

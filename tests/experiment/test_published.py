@@ -92,7 +92,7 @@ def published(**fields: Any) -> Published:
     return Published.model_validate({"source": "a paper", **fields})
 
 
-EIGHT = np.array([1.0, 2.0, 1.5, 1.2, 0.8, 1.1, 1.3, 0.9])
+RUNS = np.tile([1.0, 2.0, 1.5, 1.2, 0.8, 1.1, 1.3, 0.9], 3)
 
 
 def test_values_are_inside_up_to_the_tolerance() -> None:
@@ -119,30 +119,41 @@ def test_values_are_inside_up_to_the_tolerance() -> None:
 @pytest.mark.parametrize(
     ("worse", "verdict"),
     [
-        (EIGHT + 0.1, "held"),
-        (EIGHT - 0.1, "violated"),
-        (EIGHT + 0.1 * np.array([1, -1, 1, -1, 1, -1, 1, -1]), "not significant"),
-        (EIGHT[:5] + 0.1, "too few runs"),
+        (RUNS + 0.1, "held"),
+        (RUNS - 0.1, "violated"),
+        (RUNS + 0.1 * np.tile([1, -1], 12), "not significant"),
+        (RUNS[:19] + 0.1, "too few runs"),
     ],
 )
 def test_an_order_of_two(worse: np.ndarray, verdict: str) -> None:
-    trials, frames = tables({"best": list(EIGHT), "worst": list(worse)})
+    trials, frames = tables({"best": list(RUNS), "worst": list(worse)})
     order = [{"metric": "ensemble_position_rmse", "labels": ["best", "worst"]}]
     found = judge_published(published(order=order), trials, frames).orders[0]
     assert found.verdict == found.pairs[0].verdict == verdict
-    assert found.pairs[0].difference.runs == len(worse)
+    difference = found.pairs[0].difference
+    assert difference.runs == len(worse)
+    best = RUNS[: len(worse)]
+    expected = math.sqrt(np.mean(np.square(worse))) - math.sqrt(np.mean(np.square(best)))
+    assert difference.estimate == pytest.approx(expected)
+
+
+def test_an_order_of_means_takes_the_mean_difference() -> None:
+    trials, frames = tables({"best": list(RUNS), "worst": list(RUNS + 0.25)})
+    order = [{"metric": "online_ate", "labels": ["best", "worst"]}]
+    found = judge_published(published(order=order), trials, frames).orders[0].pairs[0].difference
+    assert [found.estimate, found.low, found.high] == pytest.approx([0.25] * 3)
 
 
 @pytest.mark.parametrize(
     ("middle", "last", "verdict"),
     [
-        (EIGHT, 2 * EIGHT, "held"),  # equal in the middle, the last far worse
-        (EIGHT, 1.2 * EIGHT, "violated"),  # significantly worse, but not by the factor
-        (EIGHT - 0.05, 2 * EIGHT, "violated"),  # a reversed pair before it
+        (RUNS, 2 * RUNS, "held"),  # equal in the middle, the last far worse
+        (RUNS, 1.2 * RUNS, "violated"),  # significantly worse, but not by the factor
+        (RUNS - 0.05, 2 * RUNS, "violated"),  # a reversed pair before it
     ],
 )
 def test_an_order_with_a_factor(middle: np.ndarray, last: np.ndarray, verdict: str) -> None:
-    trials, frames = tables({"best": list(EIGHT), "middle": list(middle), "last": list(last)})
+    trials, frames = tables({"best": list(RUNS), "middle": list(middle), "last": list(last)})
     order = [{"metric": "ensemble_position_rmse", "labels": ["best", "middle", "last"], "worst_factor": 1.5}]
     found = judge_published(published(order=order), trials, frames).orders[0]
     assert found.verdict == verdict

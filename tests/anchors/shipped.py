@@ -1,0 +1,55 @@
+"""The shipped anchors, run in this process on a few seeds or on all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.runner import run_experiment
+from slamcmp.experiment.shipped import find_experiment
+from slamcmp.experiment.verdict import PublishedVerdict, judge
+
+
+def verdict_of(
+    name: str,
+    folder: Path,
+    *,
+    runs: int | None = None,
+    labels: Sequence[str] | None = None,
+    source: dict[str, Any] | None = None,
+) -> PublishedVerdict:
+    """What comes out of ``experiments/anchors/NAME.yaml``: on its first seeds, with some of its back ends."""
+    experiment = load_experiment(find_experiment(f"anchors/{name}"))
+    for parameter, value in (source or {}).items():
+        experiment = replace(experiment, source=experiment.source.with_parameter(parameter, value))
+    if labels is not None:
+        kept = tuple(choice for choice in experiment.back_ends if choice.label in labels)
+        assert len(kept) == len(labels)
+        published = experiment.published
+        assert published is not None
+        fewer = published.model_copy(
+            update={
+                "rows": [row for row in published.rows if row.label in labels],
+                "order": [order for order in published.order if {*order.labels} <= {*labels}],
+            }
+        )
+        experiment = replace(experiment, back_ends=kept, published=fewer)
+    if runs is not None:
+        experiment = experiment.with_seeds(range(runs))
+    results = run_experiment(experiment, folder=folder, executor="serial")
+    assert (results.trials["status"] == "ok").all()
+    verdict = judge(results)
+    assert verdict is not None
+    print(verdict.sentence())
+    return verdict
+
+
+def measured(verdict: PublishedVerdict) -> dict[str, dict[str, float]]:
+    """By metric and label."""
+    found: dict[str, dict[str, float]] = {}
+    for value in verdict.values:
+        found.setdefault(value.metric, {})[value.label] = value.measured
+    return found
