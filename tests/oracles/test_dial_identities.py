@@ -272,9 +272,12 @@ def test_watching_one_new_landmark_tells_a_parked_robot_nothing_of_its_heading(
         ({"window": None, "iterations": 100, "tolerance": 1e-11}, False),
     ],
 )
-def test_what_is_known_of_the_start_changes_no_estimate(parameters: dict[str, Any], changes: bool) -> None:
+@pytest.mark.parametrize("make", [pytest.param(lambda: planar("range_bearing", 100), id="plane"), STREAMS[2]])
+def test_what_is_known_of_the_start_changes_no_estimate(
+    parameters: dict[str, Any], changes: bool, make: Any
+) -> None:
     """The prior only says where the world lies: its covariance is pure gauge."""
-    stream = planar("range_bearing", frames=100)
+    stream = make()
     ends = []
     for scale in (1.0, 100.0):
         problem = Problem(stream.problem.T_world_body, scale * stream.problem.P, stream.problem.sensor)
