@@ -138,7 +138,6 @@ def whole_back_end(functions, generator):
 def statements(functions, generator):
     T, landmarks, P = joint(generator, 3)
     z, noises = observed(generator, T, landmarks)
-    z = z[:, :] + 0.0
     numbers = np.arange(3)
     T_1, landmarks_1, P_1 = functions.call("update", T, landmarks, P, numbers, z, noises)
     order = np.array([2, 0, 1])
@@ -168,7 +167,8 @@ def statements(functions, generator):
 def heading_gained(functions, generator):
     """What a robot that stands still learns about its heading from one landmark: nothing, in truth.
 
-    The landmark comes from the robot's own pose; an EKF that linearises anew at every mean gains all the same.
+    The landmark comes from the robot's own pose; an EKF that linearises anew at every mean gains
+    all the same.
     """
     problem = Problem(np.eye(3), np.diag([0.3, 0.3, 0.2]) ** 2, SENSOR)
     handle = functions.construct("EkfSlam", problem)

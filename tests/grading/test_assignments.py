@@ -1,0 +1,89 @@
+"""The shipped assignments: the reference earns all, the starter nothing, every known mistake is named."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from slamcmp.backends.sliding_window import SlidingWindow
+from slamcmp.experiment.config_errors import ConfigError
+from slamcmp.grading.assignment import SHIPPED, find_assignment, load_assignment
+from slamcmp.grading.grader import Grading
+from slamcmp.grading.publish import InProcess, check_publishable
+
+NAMES = sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gate(name: str) -> None:
+    assert check_publishable(name, seeds=2, sandboxed=False) == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
+@pytest.mark.parametrize("name", NAMES)
+def test_gate_in_the_sandbox(name: str) -> None:
+    assert check_publishable(name, seeds=10, accept_weak_sandbox=True) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_points_and_mutants(name: str) -> None:
+    assignment = load_assignment(find_assignment(name))
+    assert sum(test.fields.points for test in assignment.tests) == 100
+    assert len(assignment.mutants) >= 8
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_public_tests_hold_for_the_solution(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assignment = load_assignment(find_assignment(name))
+    entry = tmp_path / assignment.fields.entry
+    entry.write_text(assignment.solution_source)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, entry.stem, raising=False)
+    names: dict[str, object] = {}
+    exec((assignment.folder / "public_tests.py").read_text(), names)
+    tests = [value for key, value in names.items() if key.startswith("test_") and callable(value)]
+    assert len(tests) >= 3
+    for test in tests:
+        test()
+    sys.modules.pop(entry.stem, None)
+
+
+class BatchLike:
+    """The solution of EKF-SLAM with a smoother in its place."""
+
+    def __init__(self, module: ModuleType) -> None:
+        self.__dict__.update(vars(module))
+        self.EkfSlam = partial(SlidingWindow, window=None, iterations=10)
+
+
+def test_a_smoother_in_place_of_the_ekf_is_caught() -> None:
+    assignment = load_assignment(find_assignment("ekf_slam"))
+    grading = Grading(assignment, "ada", b"a secret of the tests")
+    smoother = InProcess(BatchLike(assignment.solution()))  # type: ignore[arg-type]
+    scores = {test.name: test.score for test in grading.run(smoother, lambda outcome: None).tests}
+    # More accurate than what was asked for, and not it.
+    assert scores["Accuracy"] == 8
+    assert scores["Linearised anew at every mean"] == 0
+
+
+def test_mistakes_in_the_specification_have_a_place(tmp_path: Path) -> None:
+    folder = tmp_path / "kalman_filter"
+    shutil.copytree(find_assignment("kalman_filter"), folder)
+    spec = folder / "assignment.yaml"
+    text = spec.read_text().replace(
+        "kind: unit\n    points: 20\n    function: predict", "kind: unti\n    points: 20"
+    )
+    spec.write_text(text.replace("runs: 40", "run: 40"))
+    with pytest.raises(ConfigError) as caught:
+        load_assignment(folder)
+    first, second = caught.value.lines
+    assert first.startswith(f"{spec}:7:11: unknown kind of test 'unti'; did you mean 'unit'?")
+    assert "unknown key 'run'; did you mean 'runs'?" in second

@@ -1,0 +1,110 @@
+"""One bad test costs that test only, hidden seeds stay apart, and mistakes get their name."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamcmp.errors import UsageError
+from slamcmp.grading.assignment import find_assignment, load_assignment
+from slamcmp.grading.diagnosis import explain
+from slamcmp.grading.grader import grade
+from slamcmp.grading.implementations import Remembered
+from slamcmp.grading.outcome import GradeOutcome, load_outcome
+from slamcmp.grading.scoring import log_linear
+from slamcmp.grading.seeds import hidden_seed
+
+SECRET = b"a secret of the tests"
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
+
+
+def graded(folder: Path, source: str, seen: list[GradeOutcome] | None = None) -> GradeOutcome:
+    path = folder / "kalman_filter.py"
+    path.write_text(source)
+    return grade(
+        find_assignment("kalman_filter"),
+        path,
+        student="ada",
+        secret=SECRET,
+        out=folder / "outcome.json",
+        accept_weak_sandbox=True,
+        progress=seen.append if seen is not None else None,
+    )
+
+
+@linux
+def test_bad_functions_cost_their_own_tests_only(tmp_path: Path) -> None:
+    solution = load_assignment(find_assignment("kalman_filter")).solution_source
+    crash = "\ndef run_filter(*arguments):\n    import ctypes\n    ctypes.string_at(0)\n"
+    seen: list[GradeOutcome] = []
+    outcome = graded(tmp_path, solution + crash, seen)
+    assert [test.status for test in outcome.tests] == [
+        *["passed"] * 3,
+        *["error"] * 4,
+        "skipped",
+    ]
+    assert outcome.score == pytest.approx(50)
+    assert "SIGSEGV" in outcome.tests[3].message
+    assert [len(each.tests) for each in seen] == list(range(1, 9))
+    assert [each.complete for each in seen] == [False] * 7 + [True]
+    assert load_outcome(tmp_path / "outcome.json") == outcome
+
+
+@linux
+def test_strange_answers_are_told_apart(tmp_path: Path) -> None:
+    outcome = graded(
+        tmp_path,
+        "import numpy as np\n"
+        "def predict(m, P, A, Q):\n    return np.full(len(m), np.nan), np.zeros(99)\n"
+        "def correct(m, P, y, C, R):\n    return None\n",
+    )
+    assert outcome.score == 0
+    assert outcome.complete
+    assert "what is not finite" in outcome.tests[0].message
+    assert "shape (99,)" in outcome.tests[0].message
+    assert "correct returned 1 values" in outcome.tests[1].message
+    assert "run_filter" in outcome.tests[3].message
+
+
+@linux
+def test_a_submission_that_is_no_python_gets_a_zero_that_says_why(tmp_path: Path) -> None:
+    outcome = graded(tmp_path, "def predict(:\n")
+    assert (outcome.score, outcome.max_score, outcome.complete) == (0, 100, True)
+    assert "kalman_filter.py, line 1" in outcome.tests[0].message
+    text = tmp_path / "essay.txt"
+    text.write_text("no code")
+    refused = grade(find_assignment("kalman_filter"), text, student="a", secret=SECRET, out=None)
+    assert refused.score == 0
+    assert "hand in a .py file" in refused.notes[0]
+
+
+def test_short_secrets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="at least 16"):
+        grade(find_assignment("kalman_filter"), tmp_path, student="a", secret=b"short", out=None)
+
+
+def test_seeds_differ_by_every_part() -> None:
+    parts = [("a", "b", "c"), ("ab", "", "c"), ("a", "bc", ""), ("a", "b", "d")]
+    seeds = {hidden_seed(SECRET, *part) for part in parts} | {hidden_seed(b"another secret..", *parts[0])}
+    assert len(seeds) == 5
+    assert hidden_seed(SECRET, *parts[0]) == hidden_seed(SECRET, *parts[0])
+
+
+def test_credit_falls_with_the_logarithm() -> None:
+    errors = (0.0, 1e-8, 1e-5, 1e-2, math.nan, math.inf)
+    assert [log_linear(error, 1e-8, 1e-2) for error in errors] == pytest.approx([1, 1, 0.5, 0, 0, 0])
+
+
+def test_diagnosis_prefers_known_mistakes_and_falls_back_on_signatures() -> None:
+    right = [Remembered("f", (), (np.array([0.1, 2.0]), np.eye(2)))]
+    turned = [Remembered("f", (), (np.array([0.1 + 2 * np.pi, 2.0]), np.eye(2)))]
+    known = [("bearing {yours:.2f} for {expected:.1f} in call {call}", turned)]
+    assert explain(turned, right, known) == ["bearing 6.38 for 0.1 in call 1"]
+    assert explain(turned, right, []) == ["output 1 of f is off by whole turns; wrap angles to (-π, π]."]
+    negated = [Remembered("f", (), (-right[0].answer[0], np.eye(2)))]
+    assert explain(negated, right, known) == ["output 1 of f has the wrong sign throughout."]
+    assert explain(right, right, known) == []
