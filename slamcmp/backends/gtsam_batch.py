@@ -175,6 +175,7 @@ class Batch:
             self._solve()
         solution = self._solution
         assert solution is not None
+        self._require_convergence(solution)
         ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
         if ratio > self._max_chi2_per_dof:
             raise DivergedError(
@@ -195,13 +196,17 @@ class Batch:
             raise diverged("batch", k, error) from error
         require_finite(poses_in(values, k + 1, self._builder.space_dim), "batch", k)
         require_finite(np.array(solution.chi2), "batch", k)
-        if solution.iterations >= self._max_iterations:
-            raise DivergedError(
-                f"batch: no convergence in {solution.iterations} iterations (χ² is now {solution.chi2:.6g}): "
-                "raise max_iterations, or start nearer"
-            )
         self._solution = solution
+        self._require_convergence(solution)
         return solution
+
+    def _require_convergence(self, solution: _Solution) -> None:
+        if solution.iterations >= self._max_iterations:
+            ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
+            raise DivergedError(
+                f"batch: no convergence in {solution.iterations} iterations, χ²/dof is {ratio:.4g} so far: "
+                "raise max_iterations, or leave what looks like a wrong basin (start from warm_start 'isam2')"
+            )
 
     def _make_optimizer(self, initial: Any) -> Any:
         kinds = {
