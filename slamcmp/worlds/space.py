@@ -1,0 +1,122 @@
+"""Loops through a space of landmarks in three dimensions, with noise proportional to what is measured.
+
+The settings of Zhang, Wu and Huang 2017, "Convergence and consistency analysis for a 3-D invariant-EKF SLAM",
+as far as they are published; the course itself is not, and is ours. Both covariances are made of the true
+components, as there: the standard deviation of each is a share of its size, and of a floor where it is
+smaller, since a component of 0 would be known exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Interval
+from numpy.typing import NDArray
+
+from slamcmp.geometry import exp, inverse, log, pose
+from slamcmp.models.sensors import make_sensor
+from slamcmp.randomness import random_streams
+from slamcmp.registry import sources
+from slamcmp.types import Detections, GroundTruth, Log, Problem
+
+FloatArray = NDArray[np.float64]
+Positive = Annotated[float, Gt(0)]
+Share = Annotated[float, Interval(gt=0, lt=1)]
+
+
+@sources.register("space", seeded=True)
+def space(
+    seed: int,
+    *,
+    steps: Annotated[int, Ge(2)] = 500,
+    loops: Positive = 8.0,
+    time_step_s: Positive = 1.0,
+    length_m: Positive = 50.0,
+    width_m: Positive = 40.0,
+    height_m: Positive = 20.0,
+    landmarks: Annotated[int, Ge(1)] = 300,
+    map_seed: Annotated[int, Ge(0)] | None = None,
+    odometry_share: Share = 0.01,
+    observation_share: Share = 0.01,
+    noise_scale: Positive = 1.0,
+    rotation_floor_rad: Positive = 0.01,
+    translation_floor_m: Positive = 0.1,
+    observation_floor_m: Positive = 0.1,
+    range_max_m: Positive = 20.0,
+    field_of_view_deg: Annotated[float, Interval(gt=0, le=360)] = 120.0,
+    first_look: Annotated[int, Ge(0)] = 1,
+) -> Log:
+    """Loops of a rising and falling ellipse among landmarks spread over a box; relative positions in space.
+
+    The ellipse has half the length and width of the box and rises and falls by an eighth of its height, twice
+    a loop. The body looks along the path, without roll.
+
+    Args:
+        seed: of the map (but for ``map_seed``), the odometry noise and the sensor noise.
+        steps: frames, the first one included.
+        loops: in all.
+        time_step_s: between frames.
+        length_m: of the box, along x, about the origin.
+        width_m: along y.
+        height_m: along z.
+        landmarks: in the box.
+        map_seed: one map for all trials; None: a map a seed.
+        odometry_share: standard deviation of each component of the motion over its size.
+        observation_share: standard deviation of each component of a relative position over its size.
+        noise_scale: multiplies both shares.
+        rotation_floor_rad: size that a component of the rotation counts for at least.
+        translation_floor_m: size that a component of the translation counts for at least.
+        observation_floor_m: size that a component of a relative position counts for at least.
+        range_max_m: farther landmarks are not seen.
+        field_of_view_deg: full angle of the cone about the direction of travel.
+        first_look: the first frame with detections.
+    """
+    streams = random_streams(seed)
+    box = np.array([length_m, width_m, height_m])
+    map_generator = streams.world if map_seed is None else np.random.default_rng(map_seed)
+    positions = map_generator.uniform(-box / 2, box / 2, (landmarks, 3))
+    T_world_body = _course(box, 2 * math.pi * loops * np.arange(steps) / (steps - 1))
+
+    motion = log(inverse(T_world_body[:-1]) @ T_world_body[1:])
+    floor = np.array([rotation_floor_rad] * 3 + [translation_floor_m] * 3)
+    sigmas = noise_scale * odometry_share * np.maximum(np.abs(motion), floor)
+    increments, Q = np.tile(np.eye(4), (steps, 1, 1)), np.zeros((steps, 6, 6))
+    increments[1:] = exp(motion) @ exp(sigmas * streams.odometry.standard_normal(motion.shape))
+    Q[1:] = sigmas[:, :, None] * np.eye(6) * sigmas[:, None, :]
+
+    sensor = make_sensor("relative_position", {"space_dim": 3})
+    cosine = math.cos(math.radians(field_of_view_deg / 2))
+    detections = []
+    for k, T in enumerate(T_world_body):
+        noise = streams.sensor.standard_normal(positions.shape)
+        true = sensor.predict(T, positions)
+        distance = np.linalg.norm(true, axis=1)
+        seen = (distance < range_max_m) & (true[:, 0] >= cosine * distance) & (k >= first_look)
+        deviations = noise_scale * observation_share * np.maximum(np.abs(true), observation_floor_m)
+        ids = np.flatnonzero(seen)
+        R = deviations[ids, :, None] * np.eye(3) * deviations[ids, None, :]
+        detections.append(Detections((true + deviations * noise)[ids], R, ids))
+
+    t: FloatArray = np.arange(steps, dtype=np.float64) * time_step_s
+    return Log(
+        name="space",
+        problem=Problem(T_world_body[0], np.zeros((6, 6)), sensor),
+        t=t,
+        T_prev_body=increments,
+        Q=Q,
+        detections=tuple(detections),
+        truth=GroundTruth(t, T_world_body, np.arange(landmarks), positions),
+    )
+
+
+def _course(box: FloatArray, phase: FloatArray) -> FloatArray:
+    """Poses (K, 4, 4) at these angles of the ellipse: x forward, z as far up as the slope allows."""
+    a, b, c = box / np.array([4.0, 4.0, 8.0])
+    centre = np.stack([a * np.cos(phase), b * np.sin(phase), c * np.sin(2 * phase)], axis=-1)
+    forward = np.stack([-a * np.sin(phase), b * np.cos(phase), 2 * c * np.cos(2 * phase)], axis=-1)
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    left = np.cross([0.0, 0.0, 1.0], forward)
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    return pose(np.stack([forward, left, np.cross(forward, left)], axis=-1), centre)

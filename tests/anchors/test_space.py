@@ -1,0 +1,19 @@
+"""P4, the 3-D study of Zhang, Wu and Huang 2017, on a small world: who stays consistent at 5 % noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.anchors.shipped import verdict_of
+
+
+def test_p4_right_invariant_stays_consistent_and_the_standard_filter_does_not(tmp_path: Path) -> None:
+    """5 runs of 150 steps; published pose NEES / 6 over 100 runs: 1.01 and 3.1."""
+    small = {"steps": 150, "loops": 3.0, "landmarks": 60}
+    labels = ["right-invariant EKF", "SO(3)xR EKF"]
+    verdict = verdict_of("p4", tmp_path, runs=5, labels=labels, source=small)
+    noisy = [each for each in verdict.values if each.at["source.noise_scale"] == 5.0]
+    nees = {each.label: each.measured for each in noisy if each.metric == "ensemble_nees_pose"}
+    # chi²_30 / 30, were a run's error the same at all times: 99.9 % within [0.35, 2.1].
+    assert 0.35 < nees["right-invariant EKF"] < 2.1
+    assert nees["SO(3)xR EKF"] > nees["right-invariant EKF"]
