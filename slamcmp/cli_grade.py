@@ -34,6 +34,9 @@ def grade(
     out: Annotated[
         Path | None, typer.Option("--out", help="JSON file for the outcome, written after each test.")
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="HTML page for the student: no hidden test is in it.")
+    ] = None,
     accept_weak_sandbox: Annotated[
         bool, typer.Option("--accept-weak-sandbox", help="Grade though hidden tests cannot be protected.")
     ] = False,
@@ -56,6 +59,10 @@ def grade(
         out=out,
         accept_weak_sandbox=accept_weak_sandbox,
     )
+    if html is not None:
+        from slamcmp.grading.grade_page import write_grade_page
+
+        write_grade_page(outcome, html, audience="student")
     if as_json:
         print(
             json.dumps({**asdict(outcome), "score": outcome.score, "max_score": outcome.max_score}, indent=1)
