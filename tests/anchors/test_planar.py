@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from slamcmp.experiment.ensemble import ensemble_value
+from slamcmp.experiment.store import load_results
 from tests.anchors.shipped import measured, verdict_of
 
 CONSISTENT = ("ideal EKF", "right-invariant EKF", "OC-EKF", "FEJ-EKF")
@@ -67,6 +69,9 @@ def test_p3_consistent_filters_are_equal_and_the_standard_one_is_worse(tmp_path:
         assert position[label] == pytest.approx(position["right-invariant EKF"], rel=0.02)
         # chi²_48 / 48: 99.9 % within [0.45, 1.81], were a run's error the same at all times.
         assert 0.45 < nees[label] < 1.81
+    frames = load_results(tmp_path).frames
+    robocentric = ensemble_value("ensemble_position_rmse", frames[frames["label"] == "robocentric EKF"])
+    assert robocentric == pytest.approx(position["right-invariant EKF"], rel=0.02)
     assert position["EKF"] > 1.03 * position["right-invariant EKF"]
     assert nees["EKF"] > 1.2 * nees["right-invariant EKF"]
 

@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
+from slamcmp.cli import app
 from slamcmp.experiment.config import load_experiment
 from slamcmp.experiment.config_errors import ConfigError
 from slamcmp.experiment.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
 from slamcmp.experiment.published import Published
 from slamcmp.experiment.schema import experiment_schema
+from slamcmp.experiment.store import load_results
 from slamcmp.experiment.verdict import judge_published
 
 
@@ -226,3 +229,23 @@ def test_the_schema_has_the_section() -> None:
     assert {"$ref": "#/$defs/Published"} in schema["properties"]["published"]["anyOf"]
     assert schema["$defs"]["Published"]["additionalProperties"] is False
     assert schema["$defs"]["PublishedOrder"]["properties"]["labels"]["minItems"] == 2
+
+
+def test_run_and_report_show_both_and_the_exit_code_is_of_the_runs(tmp_path: Path) -> None:
+    """A published error of 1 km is not reproduced; the runs are fine all the same."""
+    path = tmp_path / "far.yaml"
+    path.write_text(GOOD.replace("rmse: 0.5", "rmse: 1000.0"))
+    folder = tmp_path / "far"
+    options = ["--executor", "serial", "--results", str(folder)]
+    shown = CliRunner().invoke(app, ["run", str(path), *options])
+    assert shown.exit_code == 0, shown.output
+    assert "verdict: 0 of 1 judged values inside tolerance" in shown.output
+    told = CliRunner().invoke(app, ["run", str(path), *options, "--json", "--no-report"])
+    (value,) = json.loads(told.stdout)["published"]["values"]
+    assert (value["verdict"], value["published"], value["runs"]) == ("outside", 1000.0, 2)
+    frames = load_results(folder).frames
+    noisy = frames[frames["source.noise_scale"] == 2.0]
+    assert value["measured"] == pytest.approx(ensemble_value("ensemble_position_rmse", noisy))
+    page = (folder / "report.html").read_text()
+    assert "Published and measured" in page
+    assert "outside" in page
