@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import slamcmp
-from slamcmp.cli_run import _blocks, print_table
+from slamcmp.cli.run import _blocks, print_table
 from slamcmp.experiment.store import load_results
 from slamcmp.frontend.stream_file import load_stream
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slamcmp.cli_grade import SECRET_VARIABLE, read_secret
+from slamcmp.cli.grade import SECRET_VARIABLE, read_secret
 
 if TYPE_CHECKING:
     from slamcmp.grading.class_run import ClassResult

@@ -75,7 +75,7 @@ def schema() -> None:
 
 def doctor() -> None:
     """Check that this machine and installation can run experiments."""
-    from slamcmp.doctor import examine
+    from slamcmp.cli.doctor import examine
 
     well = True
     for finding in examine():

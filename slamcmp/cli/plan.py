@@ -61,7 +61,7 @@ def plan(
 
 def _pilot(experiment: str) -> Path:
     """The results folder meant: itself, ``results/NAME``, or that of the experiment's file."""
-    from slamcmp.cli_results import find_results
+    from slamcmp.cli.results import find_results
     from slamcmp.errors import MissingDataError
     from slamcmp.experiment.config import load_experiment
     from slamcmp.experiment.shipped import find_experiment

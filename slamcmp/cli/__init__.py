@@ -13,17 +13,7 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp import (
-    cli_check,
-    cli_frontend,
-    cli_grade,
-    cli_grade_all,
-    cli_plan,
-    cli_results,
-    cli_run,
-    cli_show,
-    cli_stream,
-)
+from slamcmp.cli import check, frontend, grade, grade_all, plan, results, run, show, stream
 from slamcmp.errors import SlamcmpError
 
 app = typer.Typer(
@@ -34,15 +24,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-cli_run.add_commands(app)
-cli_check.add_commands(app)
-cli_grade.add_commands(app)
-cli_grade_all.add_commands(app)
-cli_plan.add_commands(app)
-cli_results.add_commands(app)
-cli_show.add_commands(app)
-cli_stream.add_commands(app)
-cli_frontend.add_commands(app)
+# In the order of --help.
+for _commands in (run, check, plan, results, show, stream, frontend, grade, grade_all):
+    _commands.add_commands(app)
 
 _debug = False
 
@@ -76,7 +60,3 @@ def main() -> None:
             raise
         print(f"slamcmp: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,5 @@
+"""``python -m slamcmp.cli``."""
+
+from slamcmp.cli import main
+
+main()
