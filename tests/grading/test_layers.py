@@ -210,7 +210,7 @@ def test_world_reachable(tmp_path: Path) -> None:
     assert world_reachable_like_the_kernel(file) == readable.world_reachable(str(file))
     assert readable.world_reachable("/etc/passwd")
     assert not readable.world_reachable("/etc/shadow")
-    assert not readable.world_reachable("/nonexistent")
+    assert not readable.world_reachable("/etc/there-is-no-such-file")
 
 
 def world_reachable_like_the_kernel(path: Path) -> bool:
