@@ -15,7 +15,7 @@ import importlib.util
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -64,7 +64,8 @@ def run_key(stream: str, back_end: Choice, time_limit_s: float, memory_limit_mb:
     )
 
 
-def versions() -> dict[str, str]:
+@cache
+def versions() -> Mapping[str, str]:
     """Of Python (major.minor) and of the libraries that compute."""
     found = {"python": ".".join(map(str, sys.version_info[:2]))}
     for name in LIBRARIES:
