@@ -49,7 +49,7 @@ back_ends:
   - {name: ekf_slam}
   - {name: isam2, relinearize_skip: 10}
   - {name: batch}
-seeds: 24
+seeds: 8
 """
 
 
