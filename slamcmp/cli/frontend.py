@@ -36,7 +36,7 @@ def frontend(
     """Harris corners, suppression and matches of photographs: three figures and a table of counts."""
     # Slow to import, and not needed for --help.
     from slamcmp.frontend.vision.image_pair import extract_features, match_features
-    from slamcmp.frontend.vision.images import read_image
+    from slamcmp.image_files import read_image
     from slamcmp.report.front_end_figures import draw_front_end, front_end_tables
 
     pictures = [read_image(path) for path in images]

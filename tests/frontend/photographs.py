@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp.frontend.vision.images import read_image
+from slamcmp.image_files import read_image
 
 FOLDER = Path(gtsam.__file__).parent / "Data" / "Balbianello"
 

@@ -9,8 +9,8 @@ import numpy as np
 from slamcmp.frontend.vision.degeneracy import Geometry
 from slamcmp.frontend.vision.fundamental import sampson_distance
 from slamcmp.frontend.vision.image_pair import Features, extract_features, match_features
-from slamcmp.frontend.vision.images import read_image
 from slamcmp.geometry import hat, inverse
+from slamcmp.image_files import read_image
 from tests.recorded_data import recorded
 
 

@@ -1,10 +1,13 @@
-"""Read images and say what is wrong with those that cannot be used."""
+"""Read images and say what is wrong with those that cannot be used.
+
+OpenCV is loaded with the first image: what has no images does without it.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,19 +31,10 @@ def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
         MissingDataError: there is no such file.
         DataError: not an image, truncated, not 8 bits a channel, or of another size.
     """
+    import cv2
+
     path = Path(path)
-    if not path.is_file():
-        raise MissingDataError(f"{path}: there is no such image")
-    data = path.read_bytes()
-    if _is_truncated(data):
-        raise DataError(f"{path}: the image file is truncated ({len(data)} bytes, no end marker)")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise DataError(f"{path}: not an image that can be decoded, or damaged ({len(data)} bytes)")
-    image = np.asarray(image)
+    image = _decoded(path)
     if image.dtype != np.uint8:
         raise DataError(
             f"{path}: {8 * image.dtype.itemsize} bits a channel where 8 are needed; is it a depth image? "
@@ -57,6 +51,36 @@ def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
     if problem:
         raise DataError(f"{path}: {problem}")
     return grey
+
+
+def read_depth(
+    path: Path | str, *, units_per_m: float, unknown: int | None = None, size: Size | None = None
+) -> NDArray[np.float32]:
+    """Read a 16-bit depth image as metres along the optical axis, (height, width); 0 where not known.
+
+    Args:
+        path: a PNG with one channel, as RGB-D cameras' files are.
+        units_per_m: value of a pixel one metre away: 1000 for millimetres.
+        unknown: a value that marks pixels without depth, beside 0.
+        size: (width, height) in pixels that the calibration is for; None takes any.
+
+    Raises:
+        MissingDataError: there is no such file.
+        DataError: not an image, truncated, not one channel of 16 bits, or of another size.
+    """
+    path = Path(path)
+    image = _decoded(path)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        raise DataError(
+            f"{path}: {channels} channel(s) of {8 * image.dtype.itemsize} bits where a depth image has one "
+            "of 16"
+        )
+    problem = _shape_problem(image, size)
+    if problem:
+        raise DataError(f"{path}: {problem}")
+    known = image if unknown is None else np.where(image == unknown, 0, image)
+    return (known * np.float32(1.0 / units_per_m)).astype(np.float32)
 
 
 def image_problem(image: object, *, size: Size | None = None) -> str:
@@ -78,7 +102,24 @@ def image_problem(image: object, *, size: Size | None = None) -> str:
     return ""
 
 
-def _shape_problem(image: GrayImage, size: Size | None) -> str:
+def _decoded(path: Path) -> NDArray[Any]:
+    import cv2
+
+    if not path.is_file():
+        raise MissingDataError(f"{path}: there is no such image")
+    data = path.read_bytes()
+    if _is_truncated(data):
+        raise DataError(f"{path}: the image file is truncated ({len(data)} bytes, no end marker)")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise DataError(f"{path}: not an image that can be decoded, or damaged ({len(data)} bytes)")
+    return np.asarray(image)
+
+
+def _shape_problem(image: NDArray[Any], size: Size | None) -> str:
     height, width = image.shape
     if size is not None and (width, height) != size:
         return f"{width}×{height} pixels where {size[0]}×{size[1]} are needed"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.frontend.vision.images import image_problem, read_image
+from slamcmp.image_files import image_problem, read_depth, read_image
 from tests.frontend.photographs import FOLDER, photograph
 
 
@@ -81,3 +83,27 @@ def test_another_size_than_the_calibrations_is_refused() -> None:
 )
 def test_the_reason_to_skip_a_frame(image: object, problem: str) -> None:
     assert image_problem(image, size=(640, 427)) == problem
+
+
+def test_depth_becomes_metres_and_what_is_unknown_becomes_zero(tmp_path: Path) -> None:
+    stored = np.array([[0, 5000, 12500], [65535, 1, 40000]], dtype=np.uint16)
+    path = _write(tmp_path / "depth.png", stored)
+    np.testing.assert_allclose(
+        read_depth(path, units_per_m=5000, unknown=65535, size=(3, 2)),
+        [[0, 1.0, 2.5], [0, 0.0002, 8.0]],
+        rtol=1e-6,
+    )
+    assert read_depth(path, units_per_m=1000)[1, 0] == pytest.approx(65.535)
+
+
+def test_grey_values_are_no_depth(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"1 channel\(s\) of 8 bits where a depth image has one of 16"):
+        read_depth(_write(tmp_path / "grey.png", photograph(1)), units_per_m=1000)
+    path = _write(tmp_path / "depth.png", np.full((20, 30), 5000, dtype=np.uint16))
+    with pytest.raises(DataError, match="30×20 pixels where 31×20"):
+        read_depth(path, units_per_m=1000, size=(31, 20))
+
+
+def test_opencv_is_loaded_with_the_first_image_only() -> None:
+    code = "import slamcmp.image_files, sys; sys.exit('cv2' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
