@@ -104,6 +104,23 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Detections:
+    """Labelled measurements of one instant: what a landmark sensor delivered, or a frame's entries."""
+
+    z: FloatArray
+    """(m, d)."""
+    R: FloatArray
+    """(m, d, d)."""
+    ids: IntArray
+    """The sensor's own labels, (m,); -1 where it has none."""
+
+    def __post_init__(self) -> None:
+        ids = frozen(self.ids, "Detections.ids", (None,), np.int64)
+        z = frozen(self.z, "Detections.z", (ids.size, None))
+        _set(self, ids=ids, z=z, R=frozen(self.R, "Detections.R", (ids.size, z.shape[1], z.shape[1])))
+
+
+@dataclass(frozen=True)
 class Frame:
     """One time step: how the robot moved since the last one, and what it saw on arrival.
 
@@ -124,6 +141,9 @@ class Frame:
     """Measurements, (m, d)."""
     R: FloatArray
     """Covariances of the measurements, (m, d, d)."""
+    entries: Detections | None = None
+    """Landmarks that enter the map here, measured by ``entry_sensor`` (models/sensors.py); only where one
+    measurement of the stream's own sensor does not place a landmark, as a single camera's does not."""
 
     def __post_init__(self) -> None:
         increment = np.asarray(self.T_prev_body)
@@ -141,23 +161,6 @@ class Frame:
             z=z,
             R=frozen(self.R, "Frame.R", (ids.size, z.shape[1], z.shape[1])),
         )
-
-
-@dataclass(frozen=True)
-class Detections:
-    """What the landmark sensor delivered at one instant, before any front end looked at it."""
-
-    z: FloatArray
-    """(m, d)."""
-    R: FloatArray
-    """(m, d, d)."""
-    ids: IntArray
-    """The sensor's own labels, (m,); -1 where it has none."""
-
-    def __post_init__(self) -> None:
-        ids = frozen(self.ids, "Detections.ids", (None,), np.int64)
-        z = frozen(self.z, "Detections.z", (ids.size, None))
-        _set(self, ids=ids, z=z, R=frozen(self.R, "Detections.R", (ids.size, z.shape[1], z.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -275,6 +278,7 @@ class MeasurementStream:
     def __post_init__(self) -> None:
         sensor = self.problem.sensor
         size = sensor.space_dim + 1
+        entered: set[int] = set()
         if not self.frames:
             raise DataError("MeasurementStream.frames: needs at least one frame")
         for index, frame in enumerate(self.frames):
@@ -290,6 +294,7 @@ class MeasurementStream:
                 raise DataError(f"{where}: time {frame.t} s does not come after the previous frame's")
             if frame.ids.size > 1 and np.unique(frame.ids).size != frame.ids.size:
                 raise DataError(f"{where}: a landmark id stands twice")
+            _check_entries(sensor, frame, entered, where)
         first = self.frames[0]
         if not np.array_equal(first.T_prev_body, np.eye(size)) or first.Q.any():
             raise DataError("MeasurementStream.frames[0]: must carry the identity and Q = 0")
@@ -298,6 +303,10 @@ class MeasurementStream:
             _require_finite(stacked, f"MeasurementStream.frames[*].{name}")
         _require_psd(np.stack([frame.Q for frame in self.frames]), "Frame.Q", definite=False)
         _require_psd(np.concatenate([frame.R for frame in self.frames]), "Frame.R", definite=True)
+        entries = [frame.entries for frame in self.frames if frame.entries is not None]
+        if entries:
+            _require_finite(np.concatenate([each.z.ravel() for each in entries]), "Frame.entries.z")
+            _require_psd(np.concatenate([each.R for each in entries]), "Frame.entries.R", definite=True)
 
     @cached_property
     def digest(self) -> str:
@@ -323,7 +332,40 @@ class MeasurementStream:
                 (frame.R, "<f8"),
             ):
                 hasher.update(array.astype(kind).tobytes())
+            if frame.entries is not None:
+                hasher.update(b"entries" + np.array([frame.entries.ids.size], dtype="<i8").tobytes())
+                hasher.update(frame.entries.ids.astype("<i8").tobytes())
+                hasher.update(frame.entries.z.astype("<f8").tobytes())
+                hasher.update(frame.entries.R.astype("<f8").tobytes())
         return hasher.hexdigest()
+
+
+def _check_entries(sensor: SensorModel, frame: Frame, entered: set[int], where: str) -> None:
+    """Each landmark enters once, and a sensor that cannot place one sees only those that have entered."""
+    by: SensorModel | None = getattr(sensor, "entry_sensor", None)
+    if frame.entries is not None:
+        if by is None:
+            raise DataError(
+                f"{where}: has entries, but sensor {sensor.name!r} places a landmark by itself: make them "
+                "measurements"
+            )
+        if frame.entries.z.shape[1] != by.dim:
+            raise DataError(
+                f"{where}: entries of dimension {frame.entries.z.shape[1]} where {by.dim} is needed"
+            )
+        new = frame.entries.ids.tolist()
+        known = sorted(entered.intersection(new))
+        if known or len(set(new)) != len(new):
+            raise DataError(f"{where}: landmark {known[0] if known else new} enters twice")
+    if by is not None:
+        strangers = set(frame.ids.tolist()) - entered
+        if strangers:
+            raise DataError(
+                f"{where}: landmark {min(strangers)} is measured before it entered; sensor {sensor.name!r} "
+                "cannot place it"
+            )
+        if frame.entries is not None:
+            entered.update(frame.entries.ids.tolist())
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import pytest
 
 from slamcmp import geometry as g
 from slamcmp.errors import DataError
+from slamcmp.models.camera import MonoCamera
 from slamcmp.models.sensors import RangeBearing, RelativePosition
 from slamcmp.randomness import random_streams
 from slamcmp.types import (
@@ -213,3 +214,54 @@ def test_a_landmark_id_stands_once() -> None:
         Landmarks([7, 1, 7], np.ones((3, 2)), np.ones((3, 2, 2)))
     with pytest.raises(DataError, match=r"GroundTruth\.ids: id 7 stands twice"):
         GroundTruth([0.0], np.eye(3)[None], [7, 7], np.ones((2, 2)))
+
+
+def camera_stream(*second, entries_at=0) -> MeasurementStream:
+    """Landmark 4 enters in one of two frames; the second frame measures the given ids."""
+    camera = MonoCamera(fx_px=400.0, fy_px=400.0, cx_px=320.0, cy_px=240.0)
+    entry = Detections([[320.0, 280.0, 240.0]], np.eye(3)[None], [4])
+    frames = []
+    for k, ids in ((0, ()), (1, second)):
+        frames.append(
+            Frame(
+                k,
+                float(k),
+                np.eye(4),
+                k * np.eye(6),
+                list(ids),
+                np.full((len(ids), 2), 300.0),
+                np.tile(np.eye(2), (len(ids), 1, 1)),
+                entry if k == entries_at else None,
+            )
+        )
+    return MeasurementStream(Problem(np.eye(4), np.eye(6), camera), tuple(frames))
+
+
+def test_a_camera_measures_only_landmarks_that_have_entered():
+    assert camera_stream(4).frames[0].entries.ids.tolist() == [4]
+    with pytest.raises(DataError, match="landmark 5 is measured before it entered"):
+        camera_stream(4, 5)
+    with pytest.raises(DataError, match="landmark 4 is measured before it entered"):
+        camera_stream(4, entries_at=1)
+
+
+def test_a_landmark_enters_once_and_by_the_entry_sensor():
+    stream = camera_stream(4)
+    again = dataclasses.replace(stream.frames[1], entries=stream.frames[0].entries)
+    with pytest.raises(DataError, match="landmark 4 enters twice"):
+        dataclasses.replace(stream, frames=(stream.frames[0], again))
+    flat = Detections([[320.0, 240.0]], np.eye(2)[None], [4])
+    with pytest.raises(DataError, match="entries of dimension 2 where 3 is needed"):
+        dataclasses.replace(
+            stream, frames=(dataclasses.replace(stream.frames[0], entries=flat), stream.frames[1])
+        )
+    with pytest.raises(DataError, match="places a landmark by itself"):
+        planar_entry = dataclasses.replace(frame(0), entries=Detections([[1.0, 0.1]], np.eye(2)[None], [9]))
+        MeasurementStream(problem(), (planar_entry, frame(1)))
+
+
+def test_the_digest_covers_entries():
+    stream = camera_stream(4)
+    moved = Detections([[320.0, 281.0, 240.0]], np.eye(3)[None], [4])
+    first = dataclasses.replace(stream.frames[0], entries=moved)
+    assert dataclasses.replace(stream, frames=(first, stream.frames[1])).digest != stream.digest

@@ -11,7 +11,7 @@ import numpy as np
 from slamcmp.atomic import write_atomically
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
-from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem
+from slamcmp.types import Detections, Frame, FrontEndReport, MeasurementStream, Problem
 
 FORMAT = "slamcmp-stream-1"
 
@@ -43,6 +43,14 @@ def save_stream(stream: MeasurementStream, path: Path | str) -> None:
         "z": np.concatenate([frame.z for frame in frames]),
         "R": np.concatenate([frame.R for frame in frames]),
     }
+    entering = [frame for frame in frames if frame.entries is not None]
+    if entering:
+        entries = [frame.entries for frame in entering if frame.entries is not None]
+        arrays["entry_frame"] = np.array([frame.k for frame in entering])
+        arrays["entry_size"] = np.array([each.ids.size for each in entries])
+        arrays["entry_ids"] = np.concatenate([each.ids for each in entries])
+        arrays["entry_z"] = np.concatenate([each.z for each in entries])
+        arrays["entry_R"] = np.concatenate([each.R for each in entries])
     if stream.report is not None:
         arrays["counts"] = stream.report.counts
         arrays["kept_size"] = np.array([mask.size for mask in stream.report.kept])
@@ -91,6 +99,7 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
     starts = ends - data["size"]
     if len(data["ids"]) != (ends[-1] if ends.size else 0):
         raise DataError("the observation arrays do not have the length that the frames add up to")
+    entries = _entries(data)
     frames = tuple(
         Frame(
             k,
@@ -100,6 +109,7 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
             data["ids"][a:b],
             data["z"][a:b],
             data["R"][a:b],
+            entries.get(k),
         )
         for k, (a, b) in enumerate(zip(starts, ends, strict=True))
     )
@@ -109,3 +119,18 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
         report = FrontEndReport(tuple(header["stages"]), data["counts"], tuple(kept))
     sensor = make_sensor(header["sensor"], header["parameters"])
     return MeasurementStream(Problem(data["prior_T"], data["prior_P"], sensor), frames, report)
+
+
+def _entries(data: dict[str, Any]) -> dict[int, Detections]:
+    """The landmarks that enter, by frame."""
+    if "entry_frame" not in data:
+        return {}
+    ends = np.cumsum(data["entry_size"])
+    if len(data["entry_ids"]) != ends[-1]:
+        raise DataError("the entries do not have the length that their frames add up to")
+    return {
+        k: Detections(data["entry_z"][b - m : b], data["entry_R"][b - m : b], data["entry_ids"][b - m : b])
+        for k, m, b in zip(
+            data["entry_frame"].tolist(), data["entry_size"].tolist(), ends.tolist(), strict=True
+        )
+    }

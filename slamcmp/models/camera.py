@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -151,6 +152,22 @@ class MonoCamera(Camera):
     dim = 2
     components: tuple[str, ...] = ("u_px", "v_px")
     invertible = False
+
+    @cached_property
+    def entry_sensor(self) -> StereoCamera:
+        """A pair with this camera as its left one and a baseline of 1 m.
+
+        A landmark that several views have placed enters as (u, u - f b / depth, v): its error is nearly
+        Gaussian in the disparity, as it is in inverse depth, and not in the depth.
+        """
+        return StereoCamera(
+            fx_px=self.fx_px,
+            fy_px=self.fy_px,
+            cx_px=self.cx_px,
+            cy_px=self.cy_px,
+            baseline_m=1.0,
+            T_body_camera=self.T_body_camera,
+        )
 
     def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:  # noqa: ARG002
         """Not possible.

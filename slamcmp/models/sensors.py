@@ -160,6 +160,16 @@ def cartesian_to_polar(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatA
     return np.stack([r, np.arctan2(y, x)], -1), 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
 
 
+def entry_sensor(sensor: SensorModel) -> SensorModel:
+    """The sensor by whose measurement a new landmark joins the map.
+
+    It is the sensor itself unless one of its measurements leaves a landmark undetermined; such a sensor has
+    an attribute ``entry_sensor``, and its streams bring new landmarks as ``Frame.entries``.
+    """
+    other: SensorModel | None = getattr(sensor, "entry_sensor", None)
+    return sensor if other is None else other
+
+
 def make_sensor(name: str, parameters: Mapping[str, float]) -> SensorModel:
     """The sensor a stored stream names."""
     return cast(SensorModel, sensors.get(name).target(**parameters))

@@ -12,6 +12,7 @@ from slamcmp.errors import DataError, MissingDataError, StorageError
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem
+from tests.test_types import camera_stream
 from tests.toy_stream import toy_stream
 
 
@@ -36,6 +37,18 @@ def spatial_stream():
         tuple(frames),
         FrontEndReport(("gate",), counts, kept),
     )
+
+
+def test_entries_come_back(tmp_path):
+    stream = camera_stream(4)
+    save_stream(stream, tmp_path / "stream.npz")
+    loaded = load_stream(tmp_path / "stream.npz")
+    assert loaded.digest == stream.digest
+    assert [frame.entries is None for frame in loaded.frames] == [False, True]
+    entries = loaded.frames[0].entries
+    assert entries.ids.tolist() == [4]
+    np.testing.assert_array_equal(entries.z, stream.frames[0].entries.z)
+    np.testing.assert_array_equal(entries.R, stream.frames[0].entries.R)
 
 
 def test_round_trip_is_exact(tmp_path, planar):
