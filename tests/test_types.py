@@ -255,8 +255,8 @@ def test_a_landmark_enters_once_and_by_the_entry_sensor():
         dataclasses.replace(
             stream, frames=(dataclasses.replace(stream.frames[0], entries=flat), stream.frames[1])
         )
+    planar_entry = dataclasses.replace(frame(0), entries=Detections([[1.0, 0.1]], np.eye(2)[None], [9]))
     with pytest.raises(DataError, match="places a landmark by itself"):
-        planar_entry = dataclasses.replace(frame(0), entries=Detections([[1.0, 0.1]], np.eye(2)[None], [9]))
         MeasurementStream(problem(), (planar_entry, frame(1)))
 
 
