@@ -178,7 +178,9 @@ class Grading:
         for number, spec in enumerate(self.assignment.tests, start=1):
             test, verdict = self._test(number, spec, submission, shares)
             shares[spec.fields.name] = test.score / test.max_score
-            rank = verdict.leaderboard if verdict is not None else ()
+            # Everybody reads the leaderboard: a value of a hidden test would tell how that one went.
+            visible = spec.fields.visibility == "visible"
+            rank = verdict.leaderboard if verdict is not None and visible else ()
             outcome = replace(
                 outcome,
                 complete=number == len(self.assignment.tests),

@@ -77,7 +77,7 @@ class GradeOutcome:
     seconds: float
     versions: Mapping[str, str]
     leaderboard: tuple[tuple[str, float, Literal["asc", "desc"]], ...] = ()
-    """Name, value, and which end of the order is the better one to stand first."""
+    """Name, value, and which end of the order is the better one to stand first; of visible tests only."""
     notes: tuple[str, ...] = field(default=())
     """For the student, about the submission as a whole."""
 

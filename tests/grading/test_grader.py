@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ import pytest
 from slamcmp.errors import UsageError
 from slamcmp.grading.assignment import find_assignment, load_assignment
 from slamcmp.grading.diagnosis import explain
-from slamcmp.grading.grader import grade
+from slamcmp.grading.grader import Grading, grade
 from slamcmp.grading.implementations import Remembered
-from slamcmp.grading.outcome import GradeOutcome, load_outcome
+from slamcmp.grading.outcome import GradeOutcome, Visibility, load_outcome
+from slamcmp.grading.publish import InProcess
 from slamcmp.grading.scoring import log_linear
 from slamcmp.grading.seeds import hidden_seed
 
@@ -80,6 +82,17 @@ def test_a_submission_that_is_no_python_gets_a_zero_that_says_why(tmp_path: Path
     refused = grade(find_assignment("kalman_filter"), text, student="a", secret=SECRET, out=None)
     assert refused.score == 0
     assert "hand in a .py file" in refused.notes[0]
+
+
+@pytest.mark.parametrize("visibility", ["visible", "hidden", "after_due_date", "after_published"])
+def test_the_leaderboard_holds_visible_tests_only(visibility: Visibility) -> None:
+    assignment = load_assignment(find_assignment("kalman_filter"))
+    (accuracy,) = (test for test in assignment.tests if test.fields.kind == "accuracy")
+    only = replace(accuracy, fields=accuracy.fields.model_copy(update={"visibility": visibility}))
+    grading = Grading(replace(assignment, tests=(only,)), "ada", SECRET)
+    outcome = grading.run(InProcess(assignment.solution()), lambda outcome: None)
+    expected = (("error / reference", 1.0, "asc"),) if visibility == "visible" else ()
+    assert (outcome.score, outcome.leaderboard) == (10, expected)
 
 
 def test_short_secrets_are_refused(tmp_path: Path) -> None:
