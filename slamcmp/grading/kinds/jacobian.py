@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt
 
+from slamcmp.grading.sandbox.errors import StudentError
 from slamcmp.grading.scoring import FloatArray, as_array, log_linear
 from slamcmp.grading.trial import Case, Trial, Verdict
 from slamcmp.registry import test_kinds
@@ -22,6 +23,8 @@ def jacobian(
     argument: Annotated[int, Ge(0)] = 0,
     rows: tuple[str, ...],
     columns: tuple[str, ...],
+    output: Annotated[int, Ge(0)] | None = None,
+    moved: str | None = None,
     step: Annotated[float, Gt(0)] = 1e-5,
     full: Annotated[float, Gt(0)] = 1e-6,
     zero: Annotated[float, Gt(0)] = 1e-1,
@@ -33,9 +36,13 @@ def jacobian(
         function: the derivative, called with the arguments of a case.
         of: the function that it is the derivative of, called with the same arguments.
         cases: ``name(reference, generator) -> list[Case]`` of ``cases.py``.
-        argument: position of the argument (a vector) by which it is differentiated.
+        argument: position of the argument by which it is differentiated.
         rows: what the outputs are called.
         columns: what the components of the argument are called.
+        output: of a ``function`` with several answers, which one is the derivative; ``of`` then counts with
+            its first.
+        moved: ``name(argument, step) -> argument`` of ``cases.py``, for one that is no vector (a pose);
+            without it the step (as many numbers as ``columns``) is added.
         step: half the distance of the central difference.
         full: error relative to the largest entry up to which all points are given.
         zero: error from which none are given.
@@ -46,8 +53,14 @@ def jacobian(
     wrong = np.zeros(shape)
     turned = np.ones(shape, dtype=bool)
     for case in todo:
-        expected = _central_difference(trial, of, case.arguments, argument, step)
-        given = as_array(trial.student.call(function, *case.arguments), shape, f"the answer of {function}")
+        expected = _central_difference(trial, of, case.arguments, argument, len(columns), moved, step)
+        answer, what = trial.student.call(function, *case.arguments), f"the answer of {function}"
+        if output is not None:
+            what = f"answer {output + 1} of {function}"
+            if not isinstance(answer, list | tuple) or len(answer) <= output:
+                raise StudentError("ValueError", f"there is no {what}")
+            answer = answer[output]
+        given = as_array(answer, shape, what)
         size = np.abs(given - expected) / np.abs(expected).max()
         size[~np.isfinite(given)] = np.inf
         credits.append(log_linear(float(size.max()), full, zero))
@@ -67,16 +80,22 @@ def jacobian(
 
 
 def _central_difference(
-    trial: Trial, of: str, arguments: tuple[Any, ...], argument: int, step: float
+    trial: Trial,
+    of: str,
+    arguments: tuple[Any, ...],
+    argument: int,
+    count: int,
+    moved: str | None,
+    step: float,
 ) -> FloatArray:
-    point = np.array(arguments[argument], dtype=np.float64)
+    move = np.add if moved is None else trial.procedure(moved)
     columns = []
-    for index in range(point.size):
+    for direction in step * np.eye(count):
         ends = []
         for sign in (1.0, -1.0):
-            moved = point.copy()
-            moved[index] += sign * step
-            changed = (*arguments[:argument], moved, *arguments[argument + 1 :])
-            ends.append(np.asarray(trial.reference.call(of, *changed), dtype=np.float64))
+            point = move(arguments[argument], sign * direction)
+            changed = (*arguments[:argument], point, *arguments[argument + 1 :])
+            value = trial.reference.call(of, *changed)
+            ends.append(np.asarray(value[0] if isinstance(value, tuple) else value, dtype=np.float64))
         columns.append((ends[0] - ends[1]) / (2 * step))
     return np.stack(columns, axis=-1)
