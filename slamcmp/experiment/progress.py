@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+)
 
 
 class Watcher(Protocol):
@@ -85,8 +93,21 @@ class Bars:
 
 
 @contextlib.contextmanager
-def watching(jobs: int, *, show: bool) -> Iterator[Watcher]:
-    """The watcher that fits where standard error leads."""
+def watching(
+    jobs: int,
+    *,
+    show: bool,
+    bars: Callable[[Progress, int], Watcher] = Bars,
+    further: Sequence[ProgressColumn] = (TextColumn("{task.fields[rate]}"),),
+) -> Iterator[Watcher]:
+    """The watcher that fits where standard error leads.
+
+    Args:
+        jobs: how many there will be.
+        show: otherwise nothing is reported.
+        bars: makes the watcher of a terminal.
+        further: columns of its bars behind name, bar, count and time.
+    """
     console = Console(stderr=True)
     if not show or not jobs:
         yield Silent()
@@ -98,7 +119,7 @@ def watching(jobs: int, *, show: bool) -> Iterator[Watcher]:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            TextColumn("{task.fields[rate]}"),
+            *further,
         )
         with Progress(*columns, console=console, transient=True) as progress:
-            yield Bars(progress, jobs)
+            yield bars(progress, jobs)

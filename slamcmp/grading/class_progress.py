@@ -2,41 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress, TextColumn, TimeRemainingColumn
 
-from slamcmp.experiment.progress import Lines, Silent, Watcher
+from slamcmp.experiment.progress import Watcher, watching
 
 
-@contextlib.contextmanager
-def class_watcher(gradings: int, *, show: bool) -> Iterator[Watcher]:
+def class_watcher(gradings: int, *, show: bool) -> AbstractContextManager[Watcher]:
     """The watcher that fits where standard error leads."""
-    console = Console(stderr=True)
-    if not show or not gradings:
-        yield Silent()
-    elif not console.is_terminal:
-        yield Lines(console, gradings)
-    else:
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[current]}", markup=False),
-        )
-        with Progress(*columns, console=console, transient=True) as progress:
-            yield _Bar(progress, gradings)
+    further = (TimeRemainingColumn(), TextColumn("{task.fields[current]}", markup=False))
+    return watching(gradings, show=show, bars=_Bar, further=further)
 
 
 class _Bar:
