@@ -8,7 +8,7 @@ from pathlib import Path
 import jinja2
 
 from slamcmp.atomic import write_atomically
-from slamcmp.grading.grade_images import data_uri
+from slamcmp.grading.grade_images import curves_of, data_uri
 from slamcmp.grading.junit import Audience
 from slamcmp.grading.outcome import GradeOutcome, Plot, TestOutcome
 from slamcmp.grading.sandbox.proofs import MEANING
@@ -105,8 +105,7 @@ def _row(test: TestOutcome) -> _Row:
 
 def _figure(plot: Plot) -> _Figure:
     # Loading matplotlib takes longer than a page without figures.
-    from slamcmp.report.grade_figures import Curve, outside_text
+    from slamcmp.report.grade_figures import outside_text
 
-    curves = [Curve(series.name, series.y, series.role) for series in plot.series]
-    where = outside_text(clean(plot.x_label), plot.x, curves)
+    where = outside_text(clean(plot.x_label), plot.x, curves_of(plot))
     return _Figure(clean(plot.title), data_uri(plot, "svg"), clean(plot.caption), where)

@@ -15,7 +15,7 @@ from slamcmp.errors import DataError, MissingDataError
 TestStatus = Literal["passed", "partial", "failed", "error", "timed_out", "skipped"]
 Visibility = Literal["visible", "hidden", "after_due_date", "after_published"]
 
-FORMAT = 1
+FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,13 @@ class Series:
     name: str
     y: tuple[float, ...]
     role: Literal["truth", "reference", "yours", "band"]
+    x: tuple[float, ...] = ()
+    """Of its own, as a path in the plane has it; empty: the plot's."""
 
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves over one axis, for the student to see where their answer left the others."""
+    """Curves, for the student to see where their answer left the others."""
 
     title: str
     x_label: str
@@ -37,6 +39,8 @@ class Plot:
     x: tuple[float, ...]
     series: tuple[Series, ...]
     caption: str
+    equal_scales: bool = False
+    """A metre is as long on one axis as on the other: both are of the same unit."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,8 @@ def load_outcome(path: Path) -> GradeOutcome:
     except ValueError as error:
         raise DataError(f"{path}: is no JSON ({error})") from error
     try:
-        if content.pop("format") != FORMAT:
-            raise DataError(f"{path}: was written by another version of slamcmp")
+        if (found := content.pop("format")) != FORMAT:
+            raise DataError(f"{path}: format {found}, written by another version of slamcmp; grade again")
         content["tests"] = tuple(_test(test) for test in content["tests"])
         content["leaderboard"] = tuple(tuple(row) for row in content["leaderboard"])
         content["notes"] = tuple(content["notes"])
@@ -131,5 +135,7 @@ def _test(content: dict[str, Any]) -> TestOutcome:
 
 
 def _plot(content: dict[str, Any]) -> Plot:
-    series = tuple(Series(**{**entry, "y": tuple(entry["y"])}) for entry in content["series"])
+    series = tuple(
+        Series(**{**entry, "x": tuple(entry["x"]), "y": tuple(entry["y"])}) for entry in content["series"]
+    )
     return Plot(**{**content, "x": tuple(content["x"]), "series": series})

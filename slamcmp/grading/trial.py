@@ -58,8 +58,12 @@ class Track:
     """(K,) [s]."""
     errors: FloatArray
     """(K, p), in the tangent that the covariances are in."""
-    covariances: FloatArray
-    """(K, p, p), as the estimator told them."""
+    covariances: FloatArray | None = None
+    """(K, p, p), as the estimator told them; None: it tells none."""
+    path: FloatArray | None = None
+    """Where the estimator takes the robot to be, (K, 2) [m]; None: there is nothing to draw in the plane."""
+    true_path: FloatArray | None = None
+    """Where it was, (K, 2) [m]."""
 
 
 @dataclass(frozen=True)

@@ -34,16 +34,31 @@ class Curve:
     name: str
     y: Sequence[float]
     role: Role
+    x: Sequence[float] | None = None
+    """Of its own; None: the figure's."""
 
 
 def plot_curves(
-    title: str, x_label: str, y_label: str, x: Sequence[float], curves: Sequence[Curve]
+    title: str,
+    x_label: str,
+    y_label: str,
+    x: Sequence[float],
+    curves: Sequence[Curve],
+    *,
+    equal_scales: bool = False,
 ) -> Figure:
-    """The figure; what of the student's curves lies outside the band is marked."""
+    """The figure; what of the student's curves lies outside the band is marked.
+
+    A band belongs to the figure's own x. With equal scales a circle stays a circle, as in a map.
+    """
     with matplotlib.rc_context(style.RC):
-        figure = style.new_figure(7.2, 3.4, _no_mathtext(title))
-        axes = figure.add_subplot()
         along = np.asarray(x, dtype=float)
+        frame = _frame([curve for curve in curves if curve.role in ("truth", "reference")], along)
+        height = 3.4
+        if equal_scales and len(frame) == 2:
+            height = 1.0 + float(np.clip(6.2 * np.ptp(frame["ylim"]) / np.ptp(frame["xlim"]), 2.4, 6.0))
+        figure = style.new_figure(7.2, height, _no_mathtext(title))
+        axes = figure.add_subplot()
         handles: dict[str, Any] = {}
         lower, upper = _band(curves, along.size)
         if lower is not None and upper is not None:
@@ -52,10 +67,11 @@ def plot_curves(
             axes.fill_between(along, floor, upper, color=style.BAND, alpha=0.45, linewidth=0)
         for curve in sorted(curves, key=lambda each: _ORDER.index(each.role)):
             look = _LOOK[curve.role]
-            y = _finite(curve.y, along.size)
-            axes.plot(along, y, **look)
+            own = along if curve.x is None else _finite(curve.x, len(curve.x))
+            y = _finite(curve.y, own.size)
+            axes.plot(own, y, **look)
             handles.setdefault(curve.name, style.line_key(_no_mathtext(curve.name), **look))
-            if curve.role == "yours" and lower is not None and upper is not None:
+            if curve.role == "yours" and curve.x is None and lower is not None and upper is not None:
                 outside = (y < lower) | (y > upper)
                 if outside.any():
                     mark: dict[str, Any] = {
@@ -68,6 +84,8 @@ def plot_curves(
                     handles.setdefault("outside the band", style.line_key("outside the band", **mark))
         axes.set_xlabel(_no_mathtext(x_label))
         axes.set_ylabel(_no_mathtext(y_label))
+        if equal_scales:
+            axes.set(aspect="equal", **frame)
         style.legend_below(figure, list(handles.values()), columns=4)
     return figure
 
@@ -76,7 +94,7 @@ def outside_text(x_label: str, x: Sequence[float], curves: Sequence[Curve]) -> s
     """Where the student's curve lies outside the band, in words; empty without a band."""
     along = np.asarray(x, dtype=float)
     lower, upper = _band(curves, along.size)
-    yours = [curve for curve in curves if curve.role == "yours"]
+    yours = [curve for curve in curves if curve.role == "yours" and curve.x is None]
     if lower is None or upper is None or not yours:
         return ""
     y = _finite(yours[0].y, along.size)
@@ -94,6 +112,19 @@ def outside_text(x_label: str, x: Sequence[float], curves: Sequence[Curve]) -> s
         f"Your curve first leaves the band at {x_label} = {along[first]:.4g} "
         f"(value {y[first]:.4g}, band {border}) and is outside at {share}."
     )
+
+
+def _frame(right: Sequence[Curve], along: NDArray[np.float64]) -> dict[str, tuple[float, float]]:
+    """Limits with the right curves and room for more: one that ran away would make them a dot."""
+    frame: dict[str, tuple[float, float]] = {}
+    for index, limits in enumerate(("xlim", "ylim")):
+        each = [(along if curve.x is None else curve.x, curve.y)[index] for curve in right]
+        values = np.concatenate([np.empty(0), *(np.asarray(one, dtype=float) for one in each)])
+        values = values[np.isfinite(values)]
+        if values.size:
+            room = 0.25 * max(float(np.ptp(values)), 1e-3)
+            frame[limits] = (float(values.min()) - room, float(values.max()) + room)
+    return frame
 
 
 def _band(

@@ -31,6 +31,15 @@ def plot(title: str = "Position error") -> Plot:
     )
 
 
+def path_plot() -> Plot:
+    """Curves with abscissae of their own."""
+    series = (
+        Series("truth", (0.0, 1.0), "truth", x=(0.0, 2.0)),
+        Series("yours", (0.0, 1.2, 1.3), "yours", x=(0.0, 1.9, 2.4)),
+    )
+    return Plot("Path", "x [m]", "y [m]", (), series, "Where it went.", equal_scales=True)
+
+
 def example(*, complete: bool = True, student: str = "ada") -> GradeOutcome:
     """Five tests of 100 points: 10 + 12.3456 + 0 visible, 7 after the due date, 0 hidden."""
     tests = (

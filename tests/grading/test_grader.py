@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamcmp.errors import UsageError
+from slamcmp.errors import DataError, UsageError
 from slamcmp.grading.assignment import find_assignment, load_assignment
 from slamcmp.grading.diagnosis import explain
 from slamcmp.grading.grader import Grading, grade
 from slamcmp.grading.implementations import Remembered
-from slamcmp.grading.outcome import GradeOutcome, Visibility, load_outcome
+from slamcmp.grading.outcome import GradeOutcome, Visibility, load_outcome, save_outcome
 from slamcmp.grading.publish import InProcess
 from slamcmp.grading.scoring import log_linear
 from slamcmp.grading.seeds import hidden_seed
+from tests.grading.outcomes import example, path_plot, plot
 
 SECRET = b"a secret of the tests"
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
@@ -93,6 +94,33 @@ def test_the_leaderboard_holds_visible_tests_only(visibility: Visibility) -> Non
     outcome = grading.run(InProcess(assignment.solution()), lambda outcome: None)
     expected = (("error / reference", 1.0, "asc"),) if visibility == "visible" else ()
     assert (outcome.score, outcome.leaderboard) == (10, expected)
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf_slam"])
+def test_accuracy_draws_the_path_that_was_driven(name: str) -> None:
+    assignment = load_assignment(find_assignment(name))
+    (accuracy,) = (test for test in assignment.tests if test.fields.kind == "accuracy")
+    grading = Grading(replace(assignment, tests=(accuracy,)), "ada", SECRET)
+    outcome = grading.run(InProcess(assignment.solution()), lambda outcome: None)
+    path, error = outcome.tests[0].plots
+    truth, reference, yours = path.series
+    assert path.equal_scales
+    assert (yours.x, yours.y) == (reference.x, reference.y)
+    apart = np.hypot(np.subtract(yours.x, truth.x), np.subtract(yours.y, truth.y))
+    # The body's axes or the world's: a distance is the same.
+    assert apart == pytest.approx(error.series[0].y, abs=0.02)
+    assert 0.01 < apart.max() < 2.0
+
+
+def test_outcomes_of_another_format_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "outcome.json"
+    test = replace(example().tests[1], plots=(plot(), path_plot()))
+    outcome = replace(example(), tests=(test,), leaderboard=())
+    save_outcome(outcome, path)
+    assert load_outcome(path) == outcome
+    path.write_text(path.read_text().replace('"format": 2', '"format": 1'))
+    with pytest.raises(DataError, match="format 1, written by another version"):
+        load_outcome(path)
 
 
 def test_short_secrets_are_refused(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
+import pytest
 
 from slamcmp.grading.grade_images import data_uri
 from slamcmp.grading.grade_page import grade_page
@@ -96,6 +97,21 @@ def test_the_figure_marks_exactly_the_points_outside() -> None:
     crosses = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
     yours, band = np.array(drawn.series[3].y), np.array(drawn.series[1].y)
     assert np.array_equal(crosses[0].get_xdata(), np.array(drawn.x)[np.abs(yours) > band])
+
+
+def test_a_path_has_its_own_abscissae_and_equal_scales() -> None:
+    truth = Curve("truth", (0.0, 3.0), "truth", x=(0.0, 8.0))
+    lost = Curve("yours", (0.0, 1e6, 2.0), "yours", x=(0.0, -1e6, 7.0))
+    figure = plot_curves("path", "x [m]", "y [m]", (), [truth, lost], equal_scales=True)
+    axes = figure.axes[0]
+    drawn = {tuple(line.get_xdata()): tuple(line.get_ydata()) for line in axes.lines}
+    assert drawn == {(0.0, 8.0): (0.0, 3.0), (0.0, -1e6, 7.0): (0.0, 1e6, 2.0)}
+    figure.draw_without_rendering()
+    box = axes.get_window_extent()
+    across, up = np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())
+    assert across / up == pytest.approx(box.width / box.height, rel=1e-6)
+    assert (across, up) == pytest.approx((12.0, 4.5)), "what ran away leaves the truth its room"
+    assert outside_text("x [m]", (), [truth, lost]) == ""
 
 
 def test_curves_from_a_hostile_submission_are_drawn_as_far_as_they_can_be() -> None:

@@ -157,6 +157,8 @@ def drive(functions, generator):
         mean, P = functions.call("ekf_step", mean, P, u, DT, WHEELBASE, PROCESS_NOISE, seen, z, NOISE)
         means.append(np.reshape(mean, 3))
         covariances.append(np.reshape(P, (3, 3)))
-    errors = states - np.array(means)
+    means = np.array(means)
+    errors = states - means
     errors[:, 2] = np.pi - np.mod(np.pi - errors[:, 2], 2 * np.pi)
-    return Track(DT * np.arange(1.0, 41.0), errors, np.array(covariances))
+    t = DT * np.arange(1.0, 41.0)
+    return Track(t, errors, np.array(covariances), path=means[:, :2], true_path=states[:, :2])

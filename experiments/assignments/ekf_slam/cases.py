@@ -185,12 +185,19 @@ def heading_gained(functions, generator):
 def drive(functions, generator):
     states, problem, frames = simulate(generator, 40)
     handle = functions.construct("EkfSlam", problem)
-    errors, covariances = [], []
+    errors, covariances, path = [], [], []
     for T, frame in zip(states, frames, strict=True):
         told = functions.step(handle, frame).estimate
         errors.append(local(told.T_world_body, T))
         covariances.append(told.P)
-    return Track(0.2 * np.arange(40.0), np.array(errors), np.array(covariances))
+        path.append(told.T_world_body[:2, 2])
+    return Track(
+        0.2 * np.arange(40.0),
+        np.array(errors),
+        np.array(covariances),
+        path=np.array(path),
+        true_path=states[:, :2, 2],
+    )
 
 
 def long_drive(functions, generator):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -22,6 +22,7 @@ def accuracy(
     runs: Annotated[int, Ge(1)] = 5,
     components: Annotated[int, Ge(1)] = 2,
     unit: str = "m",
+    along: str = "time [s]",
     full: Annotated[float, Gt(0)] = 1.05,
     zero: Annotated[float, Gt(0)] = 2.0,
 ) -> Verdict:
@@ -33,6 +34,7 @@ def accuracy(
         runs: how many worlds.
         components: the error's first ones that count (a position's).
         unit: of the error.
+        along: what the runs' ``t`` is, with its unit.
         full: ratio up to which all points are given.
         zero: ratio from which none are given.
     """
@@ -43,13 +45,13 @@ def accuracy(
     ratio = rmse / rmse_reference
     credit = log_linear(ratio, full, zero)
     worst = max(range(len(own)), key=lambda index: _rmse([own[index]], components))
-    plot, caption = _plot(own[worst], best[worst], components, unit)
+    plot, caption = _error_plot(own[worst], best[worst], components, unit, along)
     message = (
         f"Your error over {len(own)} runs is {_number(rmse)} {unit}, {_number(ratio)} times the "
         f"reference's {rmse_reference:.3g} {unit} on the same data (all points up to {full:g}). {caption}"
-    )
+    ).strip()
     rank = (("error / reference", round(ratio, 4), "asc"),) if math.isfinite(ratio) else ()
-    return Verdict(credit, message, plots=(plot,), leaderboard=rank)  # type: ignore[arg-type]
+    return Verdict(credit, message, plots=(*_path_plot(own[worst], best[worst]), plot), leaderboard=rank)  # type: ignore[arg-type]
 
 
 def _rmse(tracks: list[Track], components: int) -> float:
@@ -58,24 +60,39 @@ def _rmse(tracks: list[Track], components: int) -> float:
     return size if math.isfinite(size) else math.inf
 
 
-def _plot(own: Track, best: Track, components: int, unit: str) -> tuple[Plot, str]:
+def _path_plot(own: Track, best: Track) -> tuple[Plot, ...]:
+    """The worst run in the plane, if the assignment tells its paths."""
+    if own.path is None or best.path is None or own.true_path is None:
+        return ()
+    paths: tuple[tuple[str, FloatArray, Literal["truth", "reference", "yours"]], ...] = (
+        ("truth", own.true_path, "truth"),
+        ("reference", best.path, "reference"),
+        ("yours", own.path, "yours"),
+    )
+    series = tuple(
+        Series(name, _finite(path[:, 1]), role, x=_finite(path[:, 0])) for name, path, role in paths
+    )
+    caption = "Where the robot was, and where the two filters take it to be."
+    return (Plot("Path of the worst run", "x [m]", "y [m]", (), series, caption, equal_scales=True),)
+
+
+def _error_plot(own: Track, best: Track, components: int, unit: str, along: str) -> tuple[Plot, str]:
     error, reference = (np.linalg.norm(track.errors[:, :components], axis=1) for track in (own, best))
-    blocks = own.covariances[:, :components, :components]
-    with np.errstate(invalid="ignore"):
-        band = 3 * np.sqrt(np.trace(blocks, axis1=1, axis2=2))
-    outside = np.flatnonzero(~(error <= band))
-    caption = (
-        "Your error never leaves its own 3σ band."
-        if outside.size == 0
-        else f"In the worst run your error first leaves its own 3σ band at {own.t[outside[0]]:g} s."
-    )
-    series = (
-        Series("yours", _finite(error), "yours"),
-        Series("reference", _finite(reference), "reference"),
-        Series("your 3σ", _finite(band), "band"),
-    )
+    series = [Series("yours", _finite(error), "yours"), Series("reference", _finite(reference), "reference")]
+    caption = ""
+    if own.covariances is not None:
+        blocks = own.covariances[:, :components, :components]
+        with np.errstate(invalid="ignore"):
+            band = 3 * np.sqrt(np.trace(blocks, axis1=1, axis2=2))
+        series.append(Series("your 3σ", _finite(band), "band"))
+        outside = np.flatnonzero(~(error <= band))
+        caption = (
+            "Your error never leaves its own 3σ band."
+            if outside.size == 0
+            else f"In the worst run your error first leaves its own 3σ band at {own.t[outside[0]]:g} s."
+        )
     t = tuple(float(value) for value in own.t)
-    return Plot("Error of the worst run", "time [s]", f"error [{unit}]", t, series, caption), caption
+    return Plot("Error of the worst run", along, f"error [{unit}]", t, tuple(series), caption), caption
 
 
 def _finite(values: FloatArray) -> tuple[float, ...]:

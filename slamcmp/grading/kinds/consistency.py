@@ -9,6 +9,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 from scipy.special import chdtri
 
+from slamcmp.errors import UsageError
 from slamcmp.grading.scoring import log_linear
 from slamcmp.grading.trial import Track, Trial, Verdict
 from slamcmp.registry import test_kinds
@@ -63,6 +64,8 @@ def consistency(
 def _mean_nees(tracks: list[Track]) -> float:
     values = []
     for track in tracks:
+        if track.covariances is None:
+            raise UsageError("a test of consistency needs runs with covariances")
         error, covariance = track.errors[-1], track.covariances[-1]
         if not (np.isfinite(error).all() and np.isfinite(covariance).all()):
             return math.nan
