@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from slamcmp.types import Estimate, Frame, Landmarks, Trajectory
 
     FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.int64]
+    BoolArray = NDArray[np.bool_]
 
 
 class SensorModel(Protocol):
@@ -77,6 +79,25 @@ class JointEstimator(Mapper, Protocol):
 
     def joint_covariance(self) -> FloatArray:
         """``(p + n L, p + n L)``: pose tangent first, then landmarks in the order of ``landmarks()``."""
+
+
+@runtime_checkable
+class LocalEstimator(JointEstimator, Protocol):
+    """A joint estimator that can tell a part of its map sooner than the whole."""
+
+    def local_map(self, ids: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Of these landmarks the ids in the map (m,), their positions (m, n), and the joint covariance.
+
+        The covariance ``(p + n m, p + n m)`` is that of the current pose and of them, in that order.
+        """
+
+
+@runtime_checkable
+class Selective(Protocol):
+    """A back end that leaves out some of the observations it is given."""
+
+    def kept_observations(self) -> BoolArray:
+        """Which observations of the last frame it used, (m,)."""
 
 
 @runtime_checkable

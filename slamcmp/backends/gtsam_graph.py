@@ -98,12 +98,15 @@ class GraphBuilder:
     def map(self, values: Any, covariance: Callable[[int], FloatArray], ids: list[int]) -> Landmarks:
         """The landmarks ``ids`` from GTSAM values and a function from a key to its marginal covariance."""
         n, how = self.space_dim, self._observations
-        keys = [landmark_key(i) for i in ids]
-        positions = np.array([how.position_of(values, key) for key in keys])
-        covariances = np.array([covariance(key)[how.position, how.position] for key in keys])
+        covariances = np.array([covariance(landmark_key(i))[how.position, how.position] for i in ids])
         return Landmarks(
-            np.array(ids, dtype=np.int64), positions.reshape(-1, n), covariances.reshape(-1, n, n)
+            np.array(ids, dtype=np.int64), self.positions(values, ids), covariances.reshape(-1, n, n)
         )
+
+    def positions(self, values: Any, ids: list[int]) -> FloatArray:
+        """Where the landmarks ``ids`` are, (m, n), in GTSAM values."""
+        found = [self._observations.position_of(values, landmark_key(i)) for i in ids]
+        return np.array(found).reshape(-1, self.space_dim)
 
     def joint(self, k: int, covariance: Callable[[list[int]], FloatArray], ids: list[int]) -> FloatArray:
         """Joint covariance (p + n L, p + n L) of pose k and the landmarks ``ids``, in that order.

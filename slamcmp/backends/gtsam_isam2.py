@@ -30,6 +30,7 @@ from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 @back_ends.register("isam2")
@@ -101,6 +102,13 @@ class Isam2:
         """Of the newest pose and the landmarks in the order of :meth:`landmarks`."""
         builder, solver = self._builder, self._solver
         return builder.joint(solver.k, solver.joint_covariance, builder.landmark_ids())
+
+    def local_map(self, ids: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Those of the landmarks ``ids`` that are in the tree, and their joint covariance with the pose."""
+        builder, solver = self._builder, self._solver
+        known = sorted(builder.known.intersection(ids.tolist()))
+        joint = builder.joint(solver.k, solver.joint_covariance, known)
+        return np.array(known, dtype=np.int64), builder.positions(solver.values(), known), joint
 
     def trajectory(self) -> Trajectory:
         """Every pose as the tree has it now: smoothed, but not iterated to convergence (see ``batch``)."""
