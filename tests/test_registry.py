@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.config import Choice
+from slamcmp.experiment.choice import Choice
 from slamcmp.experiment.content_key import run_key
 from slamcmp.registry import Registry, load_user_plugin
 

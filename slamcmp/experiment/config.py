@@ -12,12 +12,13 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slamcmp.errors import UsageError
+from slamcmp.experiment.choice import OWN_GATE, Choice
+from slamcmp.experiment.config_checks import Checker
 from slamcmp.experiment.config_errors import ConfigErrors
-from slamcmp.experiment.plugin_models import check_parameters, parameter_model
 from slamcmp.experiment.published import Published, check_published, published_keys
 from slamcmp.experiment.stop_rule import StopRule
 from slamcmp.experiment.yaml_source import KeyPath, YamlSource, load_yaml
-from slamcmp.registry import Plugin, Registry, back_ends, did_you_mean, figures, front_ends, sources
+from slamcmp.registry import did_you_mean
 
 Seed = Annotated[int, Field(ge=0)]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]*$"
@@ -36,7 +37,7 @@ class ExperimentFields(BaseModel):
         default={"name": "labelled"}, description="What turns the log into the stream every back end gets"
     )
     back_ends: list[dict[str, Any]] = Field(
-        min_length=1, description="The estimators: name, optional label, parameters"
+        min_length=1, description="The estimators: name, optional label and own_gate, parameters"
     )
     reference: str | None = Field(
         None, description="Label whose final solution plays truth where the log has none"
@@ -61,48 +62,6 @@ class ExperimentFields(BaseModel):
     published: Published | None = Field(
         None, description="Numbers from a publication; the results are shown beside them, with a verdict"
     )
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A plug-in with all its parameters."""
-
-    kind: str
-    """``source``, ``front end`` or ``back end``."""
-    name: str
-    """As the tables show it: the registered name or ``file.py:Name``."""
-    spec: str
-    """As the registry finds it: the registered name or ``/absolute/file.py:Name``."""
-    parameters: Mapping[str, Any]
-    """Every parameter, defaults filled in, as plain JSON values."""
-    label: str = ""
-    """Of a back end, unique within its experiment."""
-    folder: Path | None = None
-    """Of the experiment file: its relative paths start there."""
-
-    def plugin(self) -> Plugin:
-        """The registered class or function."""
-        return REGISTRIES[self.kind].get(self.spec)
-
-    def arguments(self) -> dict[str, Any]:
-        """The parameters, with the path of each data file that lies beside the experiment file made absolute.
-
-        :attr:`parameters` keep it as it was written: results say what the user said.
-        """
-        values = dict(self.parameters)
-        for name in self.plugin().traits.get("paths", ()):
-            if self.folder is not None and isinstance(values.get(name), str):
-                beside = self.folder / Path(values[name]).expanduser()
-                if beside.is_file():
-                    values[name] = str(beside.resolve())
-        return values
-
-    def with_parameter(self, name: str, value: Any) -> Choice:
-        """The same with one parameter changed."""
-        return replace(self, parameters={**self.parameters, name: value})
-
-
-REGISTRIES: dict[str, Registry] = {registry.kind: registry for registry in (sources, front_ends, back_ends)}
 
 
 @dataclass(frozen=True)
@@ -149,7 +108,8 @@ class Experiment:
         """Everything as plain JSON values, with the defaults filled in, for the manifest."""
 
         def choice(chosen: Choice) -> dict[str, Any]:
-            return {"name": chosen.name, **dict(chosen.parameters)}
+            gate = {} if chosen.own_gate is None else {OWN_GATE: chosen.own_gate}
+            return {"name": chosen.name, **dict(chosen.parameters), **gate}
 
         return {
             "name": self.name,
@@ -207,7 +167,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
                 **good,
             }
         )
-    checker = _Checker(errors, path.parent)
+    checker = Checker(errors, path.parent)
     chosen_source = checker.choice("source", fields.source, ("source",))
     front_end = checker.choice("front end", fields.front_end, ("front_end",))
     chosen = [
@@ -253,156 +213,6 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         description=fields.description,
         path=path.resolve(),
     )
-
-
-def swept_target(path: str) -> tuple[str, str, str]:
-    """``source.x`` → (source, "", x); ``back_ends.LABEL.x`` → (back_ends, LABEL, x)."""
-    section, _, rest = path.partition(".")
-    label, _, parameter = rest.rpartition(".")
-    return section, label, parameter
-
-
-class _Checker:
-    """The checks that need the plug-ins' signatures."""
-
-    def __init__(self, errors: ConfigErrors, folder: Path) -> None:
-        self._errors = errors
-        self._folder = folder
-
-    def choice(self, kind: str, section: Mapping[str, Any], path: KeyPath) -> Choice | None:
-        if not section:
-            return None
-        given = dict(section)
-        name = given.pop("name", None)
-        label = given.pop("label", None) if kind == "back end" else None
-        if not isinstance(name, str):
-            what = "key 'name' is missing" if name is None else f"name: a {kind}'s name, not {name!r}"
-            self._errors.add(path if name is None else (*path, "name"), what)
-            return None
-        if label is not None and (not isinstance(label, str) or not label):
-            self._errors.add((*path, "label"), f"label: a text that is not empty, not {label!r}")
-            return None
-        spec = name
-        if ".py:" in name:
-            file, _, attribute = name.rpartition(":")
-            spec = f"{(self._folder / Path(file).expanduser()).resolve()}:{attribute}"
-        try:
-            plugin = REGISTRIES[kind].get(spec)
-            model = parameter_model(plugin)
-        except UsageError as error:
-            self._errors.add((*path, "name"), str(error))
-            return None
-        default_label = name.rpartition(":")[2] if ".py:" in name else name
-        try:
-            parameters = check_parameters(plugin, given)
-        except ValidationError as error:
-            reserved = ["name", "label"] if kind == "back end" else ["name"]
-            known: dict[KeyPath, Any] = {path: [*model.model_fields, *reserved]}
-            self._errors.add_pydantic(error.errors(), path, known)
-            parameters = {}
-        return Choice(kind, plugin.name, spec, parameters, label or default_label, self._folder)
-
-    def labels(self, chosen: Sequence[Choice | None]) -> None:
-        first: dict[str, int] = {}
-        for index, choice in enumerate(chosen):
-            if choice is None:
-                continue
-            if choice.label in first:
-                self._errors.add(
-                    ("back_ends", index),
-                    f"label {choice.label!r} is taken by back end {first[choice.label] + 1}; "
-                    "give one of them another 'label:'",
-                )
-            first.setdefault(choice.label, index)
-
-    def sweep(
-        self,
-        swept: Mapping[str, Any],
-        source: Choice | None,
-        front_end: Choice | None,
-        chosen: Sequence[Choice | None],
-    ) -> None:
-        by_label = {choice.label: choice for choice in chosen if choice is not None}
-        sections = {"source": source, "front_end": front_end}
-        for path, values in swept.items():
-            section, label, parameter = swept_target(path)
-            if section == "back_ends":
-                target = by_label.get(label)
-                if target is None:
-                    if None not in chosen:
-                        what = f"sweep: no back end has the label {label!r}{did_you_mean(label, by_label)}"
-                        self._errors.add(("sweep", path), what, key=True)
-                    continue
-            elif section in sections and not label:
-                target = sections[section]
-            else:
-                self._errors.add(
-                    ("sweep", path),
-                    f"sweep: {path!r} is not a path: source.PARAMETER, front_end.PARAMETER or "
-                    "back_ends.LABEL.PARAMETER is needed",
-                    key=True,
-                )
-                continue
-            if target is not None:
-                self._swept_values(path, parameter, values, target)
-
-    def _swept_values(self, path: str, parameter: str, values: Any, target: Choice) -> None:
-        plugin = target.plugin()
-        names = list(parameter_model(plugin).model_fields)
-        if parameter not in names:
-            what = f"sweep: {target.kind} {target.name!r} has no parameter {parameter!r}"
-            self._errors.add(("sweep", path), what + did_you_mean(parameter, names), key=True)
-            return
-        for index, value in enumerate(values):
-            try:
-                check_parameters(plugin, {**target.parameters, parameter: value})
-            except ValidationError as error:
-                for details in error.errors():
-                    if details["loc"][:1] == (parameter,):
-                        renamed = {**details, "loc": ()}
-                        self._errors.add_pydantic([renamed], ("sweep", path, index), {})  # type: ignore[list-item]
-        texts = [json.dumps(value, default=str) for value in values]
-        for index, text in enumerate(texts):
-            if text in texts[:index]:
-                self._errors.add(("sweep", path, index), f"sweep: {text} stands twice")
-
-    def seeds(self, given: int | list[int], source: Choice | None) -> tuple[int | None, ...]:
-        seeds = tuple(range(given)) if isinstance(given, int) else tuple(given)
-        for index, seed in enumerate(seeds):
-            if seed in seeds[:index]:
-                self._errors.add(("seeds", index), f"seeds: {seed} stands twice")
-        if source is not None and not source.plugin().traits.get("seeded", True):
-            if len(seeds) > 1:
-                self._errors.add(
-                    ("seeds",),
-                    f"seeds: source {source.name!r} is recorded data: it takes no seed; leave it out",
-                )
-            return (None,)
-        return seeds
-
-    def until(self, rule: StopRule, seeds: Sequence[int | None], back_ends: int) -> None:
-        # It loads every metric; most experiments do not need it.
-        from slamcmp.metrics import metric_columns
-
-        known = metric_columns()
-        if rule.metric not in known:
-            what = f"until: there is no metric {rule.metric!r}{did_you_mean(rule.metric, known)}"
-            self._errors.add(("until", "metric"), what)
-        if seeds == (None,):
-            self._errors.add(("until",), "until: the source is recorded data: it has no seeds to add")
-        elif rule.max_seeds < len(seeds):
-            self._errors.add(
-                ("until", "max_seeds"),
-                f"until: max_seeds is {rule.max_seeds}, fewer than the {len(seeds)} seeds to begin with",
-            )
-        if rule.of == "difference" and back_ends < 2:
-            self._errors.add(("until", "of"), "until: a difference needs at least two back ends")
-
-    def figures(self, names: Sequence[str]) -> None:
-        for index, name in enumerate(names):
-            if name not in figures:
-                known = did_you_mean(name, figures.names())
-                self._errors.add(("figures", index), f"unknown figure {name!r}{known}")
 
 
 def grid(experiment: Experiment) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.errors import MissingDataError
-from slamcmp.experiment.config import Choice
+from slamcmp.experiment.choice import Choice
 from slamcmp.experiment.plugin_models import bind_parameters
 from slamcmp.registry import Plugin
 
@@ -56,7 +56,7 @@ def run_key(stream: str, back_end: Choice, time_limit_s: float, memory_limit_mb:
     return _hash(
         {
             "stream": stream,
-            "back_end": [back_end.name, dict(back_end.parameters)],
+            "back_end": [back_end.name, dict(back_end.parameters), back_end.own_gate],
             "limits": [time_limit_s, memory_limit_mb],
             "code": code_version(_files(back_end.plugin()) | computing),
             "versions": versions(),

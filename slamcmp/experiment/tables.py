@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from slamcmp.errors import SlamcmpError
-from slamcmp.experiment.config import Choice
+from slamcmp.experiment.choice import Choice
 from slamcmp.experiment.inspection import FINDINGS, Inspector
 from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.experiment.trials import Trial

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from slamcmp.experiment.config import Choice, Experiment, grid, swept_target
+from slamcmp.experiment.choice import Choice, swept_target
+from slamcmp.experiment.config import Experiment, grid
 from slamcmp.experiment.content_key import run_key, stream_key
 
 

@@ -183,6 +183,64 @@ def test_sweeping_one_back_end_shares_streams_and_other_runs(tmp_path: Path) -> 
     assert len({trial.runs[1].key for trial in trials}) == 1
 
 
+OWN_GATES = """\
+source: {name: circle}
+back_ends:
+  - {name: ekf_slam}
+  - {name: ekf_slam, own_gate: 0.99}
+  - {name: isam2, label: tree, own_gate: 0.9}
+"""
+
+
+def test_a_gate_of_its_own_is_part_of_the_run_but_not_of_the_stream(tmp_path: Path) -> None:
+    experiment = load(tmp_path, OWN_GATES)
+    assert [(each.label, each.own_gate) for each in experiment.back_ends] == [
+        ("ekf_slam", None),
+        ("ekf_slam, own gate", 0.99),
+        ("tree", 0.9),
+    ]
+    assert "own_gate" not in experiment.back_ends[1].parameters
+    written = experiment.as_dict()["back_ends"]
+    assert [each.get("own_gate") for each in written] == [None, 0.99, 0.9]
+    (trial,) = make_trials(experiment)
+    assert len({job.key for job in trial.runs}) == 3
+    assert len({job.stream_key for job in trial.runs}) == 1
+
+
+def test_a_gate_of_its_own_can_be_swept(tmp_path: Path) -> None:
+    text = OWN_GATES + "sweep: {back_ends.tree.own_gate: [null, 0.9, 0.99]}\n"
+    trials = make_trials(load(tmp_path, text))
+    assert [trial.runs[2].back_end.own_gate for trial in trials] == [None, 0.9, 0.99]
+    assert len({trial.runs[2].key for trial in trials}) == 3
+    assert len({trial.runs[1].key for trial in trials}) == 1
+
+
+def test_mistakes_about_a_gate_of_its_own(tmp_path: Path) -> None:
+    found = mistakes(
+        tmp_path,
+        """\
+        source: {name: circle}
+        back_ends:
+          - {name: ekf_slam, own_gate: 1.5}
+          - {name: isam2, own_gate: yes please}
+          - {name: fixed_lag, own_gate: 0.99}
+          - {name: ekf_fej}
+        sweep:
+          back_ends.ekf_fej.own_gate: [0.9, 0, 0.9]
+        """,
+    )
+    assert [place for place, _ in found] == ["3:32", "4:29", "5:33", "8:37", "8:40"]
+    texts = [text for _, text in found]
+    assert texts[0] == "own_gate: input should be less than 1, not 1.5"
+    assert texts[1] == "own_gate: input should be a valid number, not 'yes please'"
+    assert texts[2].startswith("own_gate: back end 'fixed_lag' has no joint_covariance(), which its own gate")
+    able = texts[2].rpartition("take one of: ")[2].split(", ")
+    assert {"ekf_slam", "ekf_right_invariant", "isam2", "sliding_window", "batch"} <= set(able)
+    assert not {"fixed_lag", "msckf"} & set(able)
+    assert texts[3] == "back_ends.ekf_fej.own_gate: input should be greater than 0, not 0"
+    assert texts[4] == "sweep: 0.9 stands twice"
+
+
 def test_schema_knows_plugins_and_their_bounds() -> None:
     schema = experiment_schema()
     circle = next(each for each in schema["properties"]["source"]["anyOf"] if each.get("title") == "circle")
@@ -193,6 +251,10 @@ def test_schema_knows_plugins_and_their_bounds() -> None:
         each["properties"].get("label") for each in schema["properties"]["back_ends"]["items"]["anyOf"][:-1]
     ]
     assert all(label == {"type": "string", "minLength": 1} for label in labels)
+    gates = [
+        each["properties"]["own_gate"] for each in schema["properties"]["back_ends"]["items"]["anyOf"][:-1]
+    ]
+    assert all((gate["exclusiveMinimum"], gate["exclusiveMaximum"]) == (0, 1) for gate in gates)
 
 
 def test_shipped_experiments_are_valid() -> None:
