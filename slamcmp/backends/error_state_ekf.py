@@ -34,6 +34,7 @@ from slamcmp.backends.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.ekf_charts import Chart
 from slamcmp.backends.filter_history import Correction, FrameEnd, Growth, History, Step
 from slamcmp.backends.linearisation import LatestEstimate
+from slamcmp.backends.unanchored import Linearisation, UnanchoredFilter, square_root
 from slamcmp.errors import DivergedError
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
@@ -86,11 +87,14 @@ class ErrorStateEkf:
         if smooth:
             self.history = History(chart.p, chart.n)
             self.trajectory = self._smoothed
+        self._unanchored: UnanchoredFilter | None = None
+        self._points: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
         self._k = frame.k
         self._nis, self._nis_dof = 0.0, 0
+        self._points = None
         numbers = np.array(
             [self._number.get(landmark, -1) for landmark in frame.ids.tolist()], dtype=np.int64
         )
@@ -142,6 +146,23 @@ class ErrorStateEkf:
             "landmarks": len(self._number),
         }
 
+    def record_linearisation(self) -> None:
+        """Keep what :meth:`linearisation` needs, from the first frame on."""
+        self._unanchored = UnanchoredFilter(self._chart.p)
+
+    def linearisation(self) -> Linearisation:
+        """What the filter's own matrices claim about its pose, and where its last Jacobians were taken."""
+        assert self._unanchored is not None
+        root, scale = self._unanchored.told()
+        to_chart = self._chart.from_body(self._T)
+        if to_chart is not None:
+            root = root @ to_chart
+            scale = np.linalg.norm(scale[:, None] * to_chart, axis=0)
+        if self._points is None:
+            return Linearisation(root, scale)
+        T_at, landmarks_at, numbers = self._points
+        return Linearisation(root, scale, T_at, landmarks_at, self._landmarks[numbers])
+
     def _predict(self, frame: Frame, seen: IntArray) -> None:
         """Move to the frame's pose; ``seen`` are the numbers of the known landmarks that it observes."""
         chart = self._chart
@@ -154,15 +175,19 @@ class ErrorStateEkf:
         B = chart.offsets(T_to, self._landmarks)
         if D is not None:
             self._P.turn_landmarks(D)
-        if B is None:
+        W_t = None if B is None else self._shaken(frame.Q, noise_map, B, C_to)
+        if W_t is None:
             self._P.propagate(self._identity if F is None else F, sandwich(noise_map, frame.Q))
         else:
             if F is not None:
                 self._P.propagate(F, np.zeros_like(frame.Q))
-            self._P.inflate(self._shaken(frame.Q, noise_map, B, C_to))
+            self._P.inflate(W_t)
         self._T = T_after
         if self.history is not None:
             self.history.events.append(Step(F, D))
+        if self._unanchored is not None:
+            W = square_root(sandwich(noise_map, frame.Q)) if W_t is None else W_t.T
+            self._unanchored.move(F, D, W)
 
     def _shaken(
         self, Q: FloatArray, noise_map: FloatArray | None, B: FloatArray, C: FloatArray | None
@@ -171,8 +196,7 @@ class ErrorStateEkf:
 
         A landmark does not move with the robot, 0 = B e + C r, so what shakes e shakes r by -C^T B.
         """
-        variances, directions = np.linalg.eigh(Q)
-        root = directions * np.sqrt(np.maximum(variances, 0.0))
+        root = square_root(Q)
         if noise_map is not None:
             root = noise_map @ root
         on_landmarks = -(B if C is None else C.T @ B) @ root
@@ -206,6 +230,8 @@ class ErrorStateEkf:
         self._P.augment(G, N)
         if self.history is not None:
             self.history.events.append(Growth(G))
+        if self._unanchored is not None:
+            self._unanchored.grow(G, N)
         count = len(self._number)
         self._landmarks = np.concatenate([self._landmarks, positions])
         for offset, landmark in enumerate(ids.tolist()):
@@ -215,7 +241,9 @@ class ErrorStateEkf:
         """One Gauss–Newton step on prior and observations, in covariance form."""
         seen = self._landmarks[numbers]
         y = self._sensor.residual(z, self._sensor.predict(self._T, seen)).ravel()
-        H_pose, H_land = self._jacobians(*self._policy.known(self._T, numbers, seen))
+        T_at, landmarks_at = self._policy.known(self._T, numbers, seen)
+        self._points = T_at, landmarks_at, numbers
+        H_pose, H_land = self._jacobians(T_at, landmarks_at)
         dx = self._condition(self._touched(numbers), y, stacked(H_pose, H_land), block_diagonal(R))
         self._T, self._landmarks = self._chart.retract(self._T, self._landmarks, dx)
 
@@ -256,8 +284,14 @@ class ErrorStateEkf:
         if self.history is not None:
             whitened, _ = dtrtrs(L, H, lower=1)
             self.history.events.append(Correction(touched, whitened, W_t, e))
+        if self._unanchored is not None:
+            self._note_observation(touched, H, R)
         dx: FloatArray = e @ W_t
         return dx
+
+    def _note_observation(self, touched: IntArray, H: FloatArray, R: FloatArray) -> None:
+        assert self._unanchored is not None
+        self._unanchored.observe(touched, H, R)
 
     def _smoothed(self) -> Trajectory:
         """Every pose with hindsight (RTS), each about the filter's mean of its own frame."""

@@ -78,6 +78,8 @@ class IteratedEkf(ErrorStateEkf):
             self._P.propagate(J, np.zeros_like(J))
             if self.history is not None:
                 self.history.events.append(Step(J))
+            if self._unanchored is not None:
+                self._unanchored.move(J)
             T_linear = self._chart.retract(T_prior, landmarks_prior[:0], s_linear[:p])[0]
             since = J @ (s[:p] - s_linear[:p])
         new = ~known
@@ -99,6 +101,7 @@ class IteratedEkf(ErrorStateEkf):
         s = np.zeros(touched.size)
         for remaining in reversed(range(self._iterations)):
             T, seen = self._chart.retract(self._T, seen_prior, s)
+            self._points = T, seen, numbers
             H_pose, H_land = self._jacobians(T, seen)
             H = stacked(H_pose @ self._carried(s), H_land)
             y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s

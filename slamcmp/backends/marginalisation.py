@@ -89,6 +89,10 @@ class Prior:
         offset = np.concatenate([difference, (landmarks - self.landmarks).ravel()])
         return self.quadratic.recentred(offset).with_pose_error(J)
 
+    def jacobian(self, T: FloatArray) -> FloatArray:
+        """Of the pose's difference by its body-tangent error at T, (p, p)."""
+        return self._difference(T)[1]
+
     def _difference(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
         shift = rotation(self.T).T @ (translation(T) - translation(self.T))
         turn = rotation(self.T).T @ rotation(T)

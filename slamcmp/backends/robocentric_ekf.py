@@ -29,6 +29,7 @@ from slamcmp.backends.ekf_charts import RobocentricChart
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, NewLandmarks, stacked
 from slamcmp.backends.filter_history import FrameEnd, Growth, Remap
 from slamcmp.backends.linearisation import LatestEstimate
+from slamcmp.backends.unanchored import square_root
 from slamcmp.geometry import exp, inverse, right_jacobian, transform
 from slamcmp.registry import back_ends
 from slamcmp.types import Frame, Problem
@@ -59,12 +60,14 @@ class RobocentricEkf(ErrorStateEkf):
         self._q = np.empty((0, chart.n))
         self._e, self._w = np.zeros(chart.p), np.zeros(chart.p)
         self._w_at = chart.p
+        self._w_root = np.zeros((chart.p, chart.p))
 
     def update(self, frame: Frame) -> None:
         """Let the increment join the state, take in the observations, then move to the frame's pose."""
         p = self._chart.p
         self._k = frame.k
         self._nis, self._nis_dof = 0.0, 0
+        self._points = None
         self._U = np.array(frame.T_prev_body)
         self._q = transform(inverse(self._T), self._landmarks)
         self._e, self._w = np.zeros(p), np.zeros(p)
@@ -73,6 +76,9 @@ class RobocentricEkf(ErrorStateEkf):
         self._P = JointCovariance(block_diag(self._P.dense(), frame.Q))
         if self.history is not None:
             self.history.events.append(Remap(np.eye(self._w_at + p, self._w_at)))
+        if self._unanchored is not None:
+            self._w_root = square_root(frame.Q)
+            self._unanchored.shake(p)
         if frame.ids.size:
             numbers = np.array([self._number.get(name, -1) for name in frame.ids.tolist()], dtype=np.int64)
             self._observe(frame, numbers)
@@ -97,6 +103,8 @@ class RobocentricEkf(ErrorStateEkf):
             M = np.eye(self._P.size)
             M[-q.size :, w_states] = G[:, w_states]
             self.history.events.append(Remap(M))
+        if self._unanchored is not None:
+            self._unanchored.grow(np.zeros((q.size, self._chart.p)), N, G[:, w_states] @ self._w_root)
         count = len(self._number)
         self._q = np.concatenate([self._q, q])
         for offset, landmark in enumerate(ids.tolist()):
@@ -112,10 +120,18 @@ class RobocentricEkf(ErrorStateEkf):
             [self._w_at + self._pose_states, (numbers[:, None] * n + self._axes).ravel()]
         )
         dx = self._condition(touched, y, H, block_diagonal(R))
+        self._points = self._T @ self._U, transform(self._T, seen), numbers
         after_w = self._w_at + p
         self._e, self._w = dx[:p], dx[self._w_at : after_w]
         self._U = self._U @ exp(self._w)
         self._q = self._q + np.concatenate([dx[p : self._w_at], dx[after_w:]]).reshape(-1, n)
+
+    def _note_observation(self, touched: IntArray, H: FloatArray, R: FloatArray) -> None:
+        assert self._unanchored is not None
+        p = self._chart.p
+        land = touched[p:]
+        land = np.where(land < self._w_at, land, land - p)
+        self._unanchored.observe(land, H[:, p:], R, H[:, :p] @ self._w_root)
 
     def _compose(self) -> None:
         """Move mean and covariance by the corrected increment, which leaves the state."""
@@ -142,3 +158,5 @@ class RobocentricEkf(ErrorStateEkf):
         self._P.append(P[p:, :p], P[p:, p:])
         if self.history is not None:
             self.history.events.append(Remap(moved(np.eye(2 * p + self._q.size))))
+        if self._unanchored is not None:
+            self._unanchored.move(F, D, np.concatenate([by_w, r_by_w]) @ self._w_root)

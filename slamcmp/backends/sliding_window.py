@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from slamcmp.backends.gauss_newton import GaussNewtonStep
 from slamcmp.backends.marginalisation import Prior, Quadratic
+from slamcmp.backends.unanchored import Linearisation, UnanchoredWindow
 from slamcmp.backends.whitening import whitener, whiteners
 from slamcmp.backends.window_cost import (
     ObservationTerms,
@@ -123,6 +124,7 @@ class SlidingWindow:
         self._dof = 0
         self._t: list[float] = []
         self._left: list[tuple[FloatArray, FloatArray]] = []
+        self._unanchored: UnanchoredWindow | None = None
 
     def update(self, frame: Frame) -> None:
         """Append the frame's pose, marginalise what leaves the window, take in observations and solve."""
@@ -172,6 +174,22 @@ class SlidingWindow:
             "chi2": self._step.chi2,
             "dof": self._dof,
         }
+
+    def record_linearisation(self) -> None:
+        """Keep what :meth:`linearisation` needs, from the first frame on."""
+        self._unanchored = UnanchoredWindow(self._p)
+
+    def linearisation(self) -> Linearisation:
+        """What the last solve's linear system claims about the pose, and where its Jacobians were taken."""
+        assert self._unanchored is not None
+        root, scale = self._unanchored.told(
+            self._odometry, self._observations, self._pose_of, self._landmark_of
+        )
+        numbers = self._landmark_of[self._pose_of == len(self._T) - 1]
+        if not numbers.size:
+            return Linearisation(root, scale)
+        at = self._landmarks_at[numbers]
+        return Linearisation(root, scale, self._T_at[-1], at, self._landmarks[numbers])
 
     def _append_pose(self, frame: Frame) -> None:
         predicted = self._T[-1] @ frame.T_prev_body
@@ -245,6 +263,8 @@ class SlidingWindow:
         self._T_at, self._landmarks_at = self._jacobian_points()
         known = self._prior.landmarks.shape[0]
         self._linear_prior = self._prior.linearised(self._T[0], self._landmarks[:known])
+        if self._unanchored is not None:
+            self._unanchored.linearise(self._prior.jacobian(self._T[0]))
         self._odometry = odometry_terms(self._T, self._T_at, self._increments, self._odometry_W)
         self._observations = self._observation_terms(slice(None))
 
@@ -307,6 +327,8 @@ class SlidingWindow:
         known = (self._linear_prior.eta.size - self._p) // self._n
         moved = np.concatenate([pose_step[0], landmark_step[:known].ravel()])
         self._linear_prior = self._linear_prior.recentred(moved).with_pose_error(self._turn[0].T)
+        if self._unanchored is not None:
+            self._unanchored.turn(self._turn[0].T)
 
     def _marginalise_oldest(self, seen_now: set[int]) -> None:
         """Turn the oldest pose's costs into a prior on the next pose and the landmarks."""
@@ -314,6 +336,8 @@ class SlidingWindow:
         leaving = self._pose_of == 0
         quadratic, known = self._cost_of_oldest(leaving)
         quadratic = quadratic.eliminated(np.arange(self._p))
+        if self._unanchored is not None:
+            self._unanchored.marginalise(self._odometry, self._observations, self._pose_of, self._landmark_of)
         self._T, self._T_at = self._T[1:], self._T_at[1:]
         self._increments, self._odometry_W = self._increments[1:], self._odometry_W[1:]
         terms = self._odometry
@@ -369,6 +393,8 @@ class SlidingWindow:
         unseen = np.flatnonzero(~seen)
         states = (self._p + self._n * unseen[:, None] + np.arange(self._n)).ravel()
         quadratic = quadratic.eliminated(states)
+        if self._unanchored is not None:
+            self._unanchored.drop(unseen, self._n)
         self._landmarks, self._landmarks_at = self._landmarks[seen], self._landmarks_at[seen]
         renumbered = np.cumsum(seen) - 1
         self._landmark_of = renumbered[self._landmark_of]

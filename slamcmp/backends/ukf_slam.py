@@ -32,6 +32,7 @@ from slamcmp.backends.ekf_charts import Chart, LeftInvariantChart, RightInvarian
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filter_history import Step
 from slamcmp.backends.linearisation import LatestEstimate
+from slamcmp.backends.unanchored import square_root
 from slamcmp.geometry import exp
 from slamcmp.registry import back_ends
 from slamcmp.types import Frame, Problem
@@ -98,10 +99,13 @@ class UkfSlam(ErrorStateEkf):
         P[:p, :p], P[p:, p:] = self._P.pose_block(), frame.Q
         _, H, Omega = self._regression(moved, P)
         F, G = H[:, :p], H[:, p:]
-        self._P.propagate(F, G @ frame.Q @ G.T + Omega)
+        noise = G @ frame.Q @ G.T + Omega
+        self._P.propagate(F, noise)
         self._T = T_after
         if self.history is not None:
             self.history.events.append(Step(F))
+        if self._unanchored is not None:
+            self._unanchored.move(F, None, square_root(noise))
 
     def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> FloatArray:
         p, d, m = self._chart.p, self._sensor.dim, ids.size
