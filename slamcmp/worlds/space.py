@@ -1,9 +1,11 @@
 """Loops through a space of landmarks in three dimensions, with noise proportional to what is measured.
 
-The settings of Zhang, Wu and Huang 2017, "Convergence and consistency analysis for a 3-D invariant-EKF SLAM",
-as far as they are published; the course itself is not, and is ours. Both covariances are made of the true
-components, as there: the standard deviation of each is a share of its size, and of a floor where it is
-smaller, since a component of 0 would be known exactly.
+The study of Zhang, Wu and Huang 2017, "Convergence and consistency analysis for a 3-D invariant-EKF SLAM".
+The article gives sizes and noise; the course, a body that tumbles on a Lissajous curve, the meaning of the
+field of view and where the odometry's noise enters are those of its authors' public simulator. With u the
+rotation vector and the translation of a step, noise comes before the step, ``T_{k+1} = T_k exp(n) U(u)``, and
+the standard deviation of each component of n is a share of that of u. Both covariances are made of the true
+components, as there; a floor replaces smaller ones, since a component of 0 would be known exactly.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Interval
 from numpy.typing import NDArray
 
-from slamcmp.geometry import exp, inverse, log, pose
+from slamcmp.geometry import adjoint_of_inverse, exp, inverse, pose, so3_exp, so3_log
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
@@ -30,12 +32,12 @@ Share = Annotated[float, Interval(gt=0, lt=1)]
 def space(
     seed: int,
     *,
-    steps: Annotated[int, Ge(2)] = 500,
+    steps: Annotated[int, Ge(2)] = 501,
     loops: Positive = 8.0,
     time_step_s: Positive = 1.0,
-    length_m: Positive = 50.0,
-    width_m: Positive = 40.0,
-    height_m: Positive = 20.0,
+    length_m: Positive = 100.0,
+    width_m: Positive = 80.0,
+    height_m: Positive = 40.0,
     landmarks: Annotated[int, Ge(1)] = 300,
     map_seed: Annotated[int, Ge(0)] | None = None,
     odometry_share: Share = 0.01,
@@ -45,13 +47,13 @@ def space(
     translation_floor_m: Positive = 0.1,
     observation_floor_m: Positive = 0.1,
     range_max_m: Positive = 20.0,
-    field_of_view_deg: Annotated[float, Interval(gt=0, le=360)] = 120.0,
-    first_look: Annotated[int, Ge(0)] = 1,
+    field_of_view_deg: Annotated[float, Interval(gt=0, le=360)] = 240.0,
+    first_look: Annotated[int, Ge(0)] = 0,
 ) -> Log:
-    """Loops of a rising and falling ellipse among landmarks spread over a box; relative positions in space.
+    """A body that tumbles along a Lissajous curve in a box full of landmarks; relative positions in space.
 
-    The ellipse has half the length and width of the box and rises and falls by an eighth of its height, twice
-    a loop. The body looks along the path, without roll.
+    At the angle a of a loop the body is at half the box times (cos 3a, sin 2a, sin(2a + 1)), turned by
+    Rz(4a) Ry(-3a) Rx(5a + 2): with the defaults a step is about 12 m and 0.7 rad.
 
     Args:
         seed: of the map (but for ``map_seed``), the odometry noise and the sensor noise.
@@ -70,7 +72,7 @@ def space(
         translation_floor_m: size that a component of the translation counts for at least.
         observation_floor_m: size that a component of a relative position counts for at least.
         range_max_m: farther landmarks are not seen.
-        field_of_view_deg: full angle of the cone about the direction of travel.
+        field_of_view_deg: full angle of the cone about the body's z axis.
         first_look: the first frame with detections.
     """
     streams = random_streams(seed)
@@ -79,12 +81,15 @@ def space(
     positions = map_generator.uniform(-box / 2, box / 2, (landmarks, 3))
     T_world_body = _course(box, 2 * math.pi * loops * np.arange(steps) / (steps - 1))
 
-    motion = log(inverse(T_world_body[:-1]) @ T_world_body[1:])
+    true_step = inverse(T_world_body[:-1]) @ T_world_body[1:]
+    motion = np.concatenate([so3_log(true_step[:, :3, :3]), true_step[:, :3, 3]], axis=1)
     floor = np.array([rotation_floor_rad] * 3 + [translation_floor_m] * 3)
     sigmas = noise_scale * odometry_share * np.maximum(np.abs(motion), floor)
     increments, Q = np.tile(np.eye(4), (steps, 1, 1)), np.zeros((steps, 6, 6))
-    increments[1:] = exp(motion) @ exp(sigmas * streams.odometry.standard_normal(motion.shape))
-    Q[1:] = sigmas[:, :, None] * np.eye(6) * sigmas[:, None, :]
+    increments[1:] = exp(-sigmas * streams.odometry.standard_normal(motion.shape)) @ true_step
+    # The noise acts in the axes of the body before the step.
+    carried = adjoint_of_inverse(increments[1:])
+    Q[1:] = carried @ (sigmas[:, :, None] ** 2 * np.swapaxes(carried, 1, 2))
 
     sensor = make_sensor("relative_position", {"space_dim": 3})
     cosine = math.cos(math.radians(field_of_view_deg / 2))
@@ -93,7 +98,7 @@ def space(
         noise = streams.sensor.standard_normal(positions.shape)
         true = sensor.predict(T, positions)
         distance = np.linalg.norm(true, axis=1)
-        seen = (distance < range_max_m) & (true[:, 0] >= cosine * distance) & (k >= first_look)
+        seen = (distance < range_max_m) & (true[:, 2] >= cosine * distance) & (k >= first_look)
         deviations = noise_scale * observation_share * np.maximum(np.abs(true), observation_floor_m)
         ids = np.flatnonzero(seen)
         R = deviations[ids, :, None] * np.eye(3) * deviations[ids, None, :]
@@ -111,12 +116,11 @@ def space(
     )
 
 
-def _course(box: FloatArray, phase: FloatArray) -> FloatArray:
-    """Poses (K, 4, 4) at these angles of the ellipse: x forward, z as far up as the slope allows."""
-    a, b, c = box / np.array([4.0, 4.0, 8.0])
-    centre = np.stack([a * np.cos(phase), b * np.sin(phase), c * np.sin(2 * phase)], axis=-1)
-    forward = np.stack([-a * np.sin(phase), b * np.cos(phase), 2 * c * np.cos(2 * phase)], axis=-1)
-    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
-    left = np.cross([0.0, 0.0, 1.0], forward)
-    left /= np.linalg.norm(left, axis=1, keepdims=True)
-    return pose(np.stack([forward, left, np.cross(forward, left)], axis=-1), centre)
+def _course(box: FloatArray, angle: FloatArray) -> FloatArray:
+    """Poses (K, 4, 4) at these angles of the loop."""
+    curve = np.stack([np.cos(3 * angle), np.sin(2 * angle), np.sin(2 * angle + 1)], axis=-1)
+    turns = (5 * angle + 2, -3 * angle, 4 * angle)
+    about_x, about_y, about_z = (
+        so3_exp(turn[:, None] * axis) for turn, axis in zip(turns, np.eye(3), strict=True)
+    )
+    return pose(about_z @ about_y @ about_x, curve * box / 2)

@@ -8,8 +8,8 @@ from tests.anchors.shipped import verdict_of
 
 
 def test_p4_right_invariant_stays_consistent_and_the_standard_filter_does_not(tmp_path: Path) -> None:
-    """5 runs of 150 steps; published pose NEES / 6 over 100 runs: 1.01 and 3.1."""
-    small = {"steps": 150, "loops": 3.0, "landmarks": 60}
+    """5 runs of 125 steps; published pose NEES / 6 over 100 runs of 500 steps: 1.01 and 3.1."""
+    small = {"steps": 126, "loops": 2.0, "landmarks": 100, "range_max_m": 30.0}
     labels = ["right-invariant EKF", "SO(3)xR EKF"]
     verdict = verdict_of("p4", tmp_path, runs=5, labels=labels, source=small)
     noisy = [each for each in verdict.values if each.at["source.noise_scale"] == 5.0]
