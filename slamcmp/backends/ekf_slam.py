@@ -39,6 +39,7 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.backends.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.postponed_covariance import PostponedCovariance
+from slamcmp.backends.unanchored import Linearisation, UnanchoredFilter, square_root
 from slamcmp.errors import DivergedError
 from slamcmp.geometry import adjoint_of_inverse, exp, retract_in_world_axes
 from slamcmp.registry import back_ends
@@ -91,11 +92,14 @@ class EkfSlam:
         self._k = -1
         self._nis = 0.0
         self._nis_dof = 0
+        self._unanchored: UnanchoredFilter | None = None
+        self._points: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
         self._k = frame.k
         self._nis, self._nis_dof = 0.0, 0
+        self._points = None
         if frame.k > 0:
             self._predict(frame.T_prev_body, frame.Q)
         if frame.ids.size == 0:
@@ -136,9 +140,25 @@ class EkfSlam:
             "landmarks": len(self._number),
         }
 
+    def record_linearisation(self) -> None:
+        """Keep what :meth:`linearisation` needs, from the first frame on."""
+        self._unanchored = UnanchoredFilter(len(self._no_noise))
+
+    def linearisation(self) -> Linearisation:
+        """What the filter's own matrices claim about its pose, and where its last Jacobians were taken."""
+        assert self._unanchored is not None
+        root, scale = self._unanchored.told()
+        if self._points is None:
+            return Linearisation(root, scale)
+        T_at, landmarks_at, numbers = self._points
+        return Linearisation(root, scale, T_at, landmarks_at, self._landmarks[numbers])
+
     def _predict(self, T_prev_body: FloatArray, Q: FloatArray) -> None:
         self._T = self._T @ T_prev_body
-        self._P.propagate(adjoint_of_inverse(T_prev_body), Q)
+        A = adjoint_of_inverse(T_prev_body)
+        self._P.propagate(A, Q)
+        if self._unanchored is not None:
+            self._unanchored.move(A, None, square_root(Q))
 
     def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> None:
         """New landmarks at their inverse observation, with their correlation to everything known."""
@@ -150,6 +170,8 @@ class EkfSlam:
         G = -(H_inv @ H_pose).reshape(ids.size * n, -1)
         N = block_diagonal(H_inv @ R @ np.swapaxes(H_inv, 1, 2))
         self._P.augment(G, N)
+        if self._unanchored is not None:
+            self._unanchored.grow(G, N)
         if count + ids.size > len(self._landmarks):
             self._landmarks = np.concatenate([self._landmarks, np.empty((count + ids.size, n))])
         self._landmarks[count : count + ids.size] = positions
@@ -180,9 +202,17 @@ class EkfSlam:
             )
         dx = e @ W_t
         self._P.downdate(W_t)
+        if self._unanchored is not None:
+            states = np.concatenate(
+                [np.arange(p), (p + self._n * numbers[:, None] + np.arange(self._n)).ravel()]
+            )
+            self._unanchored.observe(states, H, block_diagonal(R))
+            self._points = self._T, seen, numbers
         if self._in_world_axes:
             self._T, J = retract_in_world_axes(self._T, dx[:p])
             self._P.propagate(J, self._no_noise)
+            if self._unanchored is not None:
+                self._unanchored.move(J)
         else:
             self._T = self._T @ exp(dx[:p])
         self._P.shift(self._landmarks, dx)
