@@ -14,10 +14,19 @@ from numpy.typing import NDArray
 from slamcmp.errors import DataError, MissingDataError
 
 GrayImage = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
 Size = tuple[int, int]
 
 _FLAT_SIGMA = 1.0
 """Grey levels; below this standard deviation an image holds nothing but sensor noise."""
+
+
+class UnusableImageError(DataError):
+    """An image file that is no use; ``phrase`` says why without the file's name, to count such files by."""
+
+    def __init__(self, path: Path, phrase: str, detail: str = "") -> None:
+        super().__init__(f"{path}: {phrase}{detail}")
+        self.phrase = phrase
 
 
 def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
@@ -29,16 +38,17 @@ def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
 
     Raises:
         MissingDataError: there is no such file.
-        DataError: not an image, truncated, not 8 bits a channel, or of another size.
+        UnusableImageError: not an image, truncated, not 8 bits a channel, or of another size.
     """
     import cv2
 
     path = Path(path)
     image = _decoded(path)
     if image.dtype != np.uint8:
-        raise DataError(
-            f"{path}: {8 * image.dtype.itemsize} bits a channel where 8 are needed; is it a depth image? "
-            "Else convert it with the range of values that matters"
+        raise UnusableImageError(
+            path,
+            f"{8 * image.dtype.itemsize} bits a channel where 8 are needed",
+            "; is it a depth image? Else convert it with the range of values that matters",
         )
     if image.ndim == 3:
         channels = image.shape[2]
@@ -49,13 +59,13 @@ def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
     grey = np.ascontiguousarray(image, dtype=np.uint8)
     problem = _shape_problem(grey, size)
     if problem:
-        raise DataError(f"{path}: {problem}")
+        raise UnusableImageError(path, problem)
     return grey
 
 
 def read_depth(
     path: Path | str, *, units_per_m: float, unknown: int | None = None, size: Size | None = None
-) -> NDArray[np.float32]:
+) -> DepthImage:
     """Read a 16-bit depth image as metres along the optical axis, (height, width); 0 where not known.
 
     Args:
@@ -66,21 +76,46 @@ def read_depth(
 
     Raises:
         MissingDataError: there is no such file.
-        DataError: not an image, truncated, not one channel of 16 bits, or of another size.
+        UnusableImageError: not an image, truncated, not one channel of 16 bits, or of another size.
     """
     path = Path(path)
     image = _decoded(path)
     if image.dtype != np.uint16 or image.ndim != 2:
         channels = 1 if image.ndim == 2 else image.shape[2]
-        raise DataError(
-            f"{path}: {channels} channel(s) of {8 * image.dtype.itemsize} bits where a depth image has one "
-            "of 16"
+        raise UnusableImageError(
+            path,
+            f"{channels} channel(s) of {8 * image.dtype.itemsize} bits where a depth image has one of 16",
         )
     problem = _shape_problem(image, size)
     if problem:
-        raise DataError(f"{path}: {problem}")
+        raise UnusableImageError(path, problem)
     known = image if unknown is None else np.where(image == unknown, 0, image)
     return (known * np.float32(1.0 / units_per_m)).astype(np.float32)
+
+
+def usable_image(path: Path, *, size: Size | None = None) -> tuple[GrayImage | None, str]:
+    """The image and "", or None and why there is none in one phrase; never an error."""
+    try:
+        image = read_image(path, size=size)
+    except MissingDataError:
+        return None, "the file is missing"
+    except UnusableImageError as error:
+        return None, error.phrase
+    problem = image_problem(image)
+    return (None, problem) if problem else (image, "")
+
+
+def usable_depth(
+    path: Path, *, units_per_m: float, unknown: int | None = None, size: Size | None = None
+) -> tuple[DepthImage | None, str]:
+    """The depth image [m] and "", or None and why there is none in one phrase; never an error."""
+    try:
+        depth = read_depth(path, units_per_m=units_per_m, unknown=unknown, size=size)
+    except MissingDataError:
+        return None, "the file is missing"
+    except UnusableImageError as error:
+        return None, error.phrase
+    return (depth, "") if depth.any() else (None, "no pixel has a depth")
 
 
 def image_problem(image: object, *, size: Size | None = None) -> str:
@@ -109,13 +144,15 @@ def _decoded(path: Path) -> NDArray[Any]:
         raise MissingDataError(f"{path}: there is no such image")
     data = path.read_bytes()
     if _is_truncated(data):
-        raise DataError(f"{path}: the image file is truncated ({len(data)} bytes, no end marker)")
+        raise UnusableImageError(path, "the image file is truncated", f" ({len(data)} bytes, no end marker)")
     try:
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
         image = None
     if image is None:
-        raise DataError(f"{path}: not an image that can be decoded, or damaged ({len(data)} bytes)")
+        raise UnusableImageError(
+            path, "not an image that can be decoded, or damaged", f" ({len(data)} bytes)"
+        )
     return np.asarray(image)
 
 

@@ -1,0 +1,102 @@
+"""The 7-Scenes sequences (Shotton et al. 2013): a Kinect in the hand, poses by KinectFusion.
+
+A sequence's folder holds ``frame-NNNNNN.color.png`` (or .jpg), ``.depth.png`` (millimetres, 65535 where not
+known) and ``.pose.txt`` (4×4, camera to world). The poses are those of the depth camera; colour is *not*
+registered to it, so that a depth belongs to a colour pixel only to within some pixels.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.datasets.camera_frames import DepthFormat, FrameFiles, RecordedFrames, require_fit, require_size
+from slamcmp.datasets.folders import find_folder, number_table
+from slamcmp.datasets.recording import Recording, image_source
+from slamcmp.datasets.trajectories import nearest_rotations
+from slamcmp.errors import DataError, MissingDataError
+from slamcmp.geometry import inverse, pose
+from slamcmp.models.camera import FORWARD_CAMERA, RgbdCamera
+
+FloatArray = NDArray[np.float64]
+
+ORIGIN = "https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/"
+SIZE = (640, 480)
+DEPTH = DepthFormat(1000.0, unknown=65535)
+FRAMES_PER_S = 30.0
+"""Nominal; the set has no time stamps."""
+INTRINSICS = (585.0, 585.0, 320.0, 240.0)
+"""fx, fy, cx, cy [px] of the depth camera, as its authors published them."""
+
+
+@image_source("seven_scenes", paths=("folder",), speed_sigma_m_s=0.5, turn_sigma_deg_s=60.0)
+def seven_scenes(*, folder: str) -> Recording:
+    """A 7-Scenes sequence: colour and depth images from a camera in the hand, with poses.
+
+    ``folder`` holds ``frame-000000.color.png`` and so on, here or under ``SLAMCMP_DATA``. The body is at the
+    camera with x forward, y left, z up; the world is the set's with its axes turned alike, so that z is
+    roughly up. Frames are 1/30 s apart for each number between them.
+
+    Raises:
+        MissingDataError: no such folder, or no images in it.
+        DataError: a file does not hold what its format promises.
+    """
+    root = find_folder(folder, what="a 7-Scenes sequence", origin=ORIGIN)
+    frames = _frames(root)
+    files = tuple(FrameFiles(path, depth=root / f"frame-{digits}.depth.png") for digits, path in frames)
+    read = [root / f"frame-{digits}.pose.txt" for digits, _ in frames]
+    truth = np.stack([_pose(path) for path in read])
+    own = root / "camera-intrinsics.txt"
+    fx, fy, cx, cy = INTRINSICS
+    if own.is_file():
+        K = number_table(own, 3, exactly=True)
+        if K.shape != (3, 3):
+            raise DataError(f"{own}: {len(K)} rows where a 3×3 matrix is needed")
+        fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+        read.append(own)
+    model = RgbdCamera(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy)
+    require_size(files, SIZE, "7-Scenes")
+    require_fit(model, SIZE, str(own))
+    return Recording(
+        f"seven_scenes_{root.resolve().name}",
+        np.array([int(digits) for digits, _ in frames]) / FRAMES_PER_S,
+        RecordedFrames(files, SIZE, depth_format=DEPTH),
+        model,
+        FORWARD_CAMERA @ truth @ inverse(FORWARD_CAMERA),
+        files=tuple(path for path in read if path.is_file()),
+        warnings=(
+            "depth is not registered to colour: a landmark's depth may be that of a point some pixels away",
+        ),
+    )
+
+
+def _frames(root: Path) -> list[tuple[str, Path]]:
+    """(digits, colour image) in the order of the numbers."""
+    names = [
+        match
+        for path in root.iterdir()
+        if (match := re.fullmatch(r"frame-(\d+)\.(color|depth|pose)\.(png|jpg|txt)", path.name))
+    ]
+    suffixes = {match[3] for match in names if match[2] == "color"}
+    if not suffixes:
+        raise MissingDataError(
+            f"{root}: holds no images such as frame-000000.color.png; get them from {ORIGIN}"
+        )
+    # A frame of which any file is there counts: what is missing of it is then said of the frame.
+    suffix = sorted(suffixes)[0]
+    frames = sorted({match[1] for match in names}, key=int)
+    return [(digits, root / f"frame-{digits}.color.{suffix}") for digits in frames]
+
+
+def _pose(path: Path) -> FloatArray:
+    """``T_world_camera``, (4, 4); NaN where tracking was lost, which the set's files show in several ways."""
+    try:
+        T = number_table(path, 4, exactly=True)
+        if T.shape != (4, 4):
+            raise DataError(f"{path}: {len(T)} rows where 4 are needed")
+        return pose(nearest_rotations(path, T[:3, :3]), T[:3, 3])
+    except (DataError, FileNotFoundError):
+        return np.full((4, 4), np.nan)

@@ -1,0 +1,65 @@
+"""Values from the YAML files that calibrations come in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slamcmp.errors import DataError
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """The content of a YAML file; OpenCV's first line ``%YAML:1.0``, which is not YAML, may stand there.
+
+    Raises:
+        DataError: not YAML, or not a mapping.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        text = path.read_text(encoding="utf-8")
+        if text.startswith("%YAML"):
+            text = "\n" + text.partition("\n")[2]
+        data = YAML(typ="safe").load(text)
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not a text file (byte {error.start})") from error
+    except YAMLError as error:
+        raise DataError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict):
+        raise DataError(f"{path}: not a mapping (key: value)")
+    return data
+
+
+def value_of(path: Path, data: dict[str, Any], key: str) -> Any:
+    """The value at ``key``, a dotted path.
+
+    Raises:
+        DataError: there is none.
+    """
+    value: Any = data
+    for part in key.split("."):
+        if not isinstance(value, dict) or part not in value:
+            raise DataError(f"{path}: has no {key}")
+        value = value[part]
+    return value
+
+
+def numbers_of(path: Path, data: dict[str, Any], key: str, *counts: int) -> list[float]:
+    """The list of finite numbers at ``key``, as long as one of ``counts``; lists of lists are joined.
+
+    Raises:
+        DataError: there is no such list.
+    """
+    value = value_of(path, data, key)
+    wanted = " or ".join(map(str, counts))
+    try:
+        flat = np.asarray(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        raise DataError(f"{path}: {key} is {value!r}; a list of {wanted} numbers is needed") from None
+    if flat.size not in counts or not np.isfinite(flat).all():
+        raise DataError(f"{path}: {key} has {flat.size} values; {wanted} finite numbers are needed")
+    found: list[float] = flat.tolist()
+    return found
