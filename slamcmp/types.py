@@ -465,6 +465,9 @@ class Run:
     """Of the last pose and the map, (p + n L, p + n L)."""
     diagnostics: Mapping[str, FloatArray] = field(default_factory=dict)
     """Per-frame scalars, each (finished frames,), NaN where a frame has none."""
+    kept_observations: tuple[BoolArray, ...] | None = None
+    """Of a back end that leaves out some of the stream's observations: the masks of those it used, one a
+    finished frame; None: it used them all."""
     final_diagnostics: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mb: float = float("nan")
     """Growth of the process's peak resident memory over the run [MB]."""

@@ -12,10 +12,12 @@ import numpy as np
 
 from slamcmp.errors import DivergedError
 from slamcmp.experiment.memory import PeakMemory
-from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Smoother
+from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
 from slamcmp.types import (
     TANGENT_DIM,
+    BoolArray,
     FloatArray,
+    Frame,
     Landmarks,
     MeasurementStream,
     Problem,
@@ -123,6 +125,8 @@ def _feed(
     clock = time.perf_counter
     update, estimate = back_end.update, back_end.estimate
     diagnostics = back_end.diagnostics if isinstance(back_end, Diagnosed) else None
+    if isinstance(back_end, Selective):
+        collected.kept = []
     poses, covariances = collected.poses, collected.covariances
     update_s, estimate_s = collected.update_s, collected.estimate_s
     last = len(stream.frames) - 1
@@ -138,6 +142,8 @@ def _feed(
         estimate_s[k] = after - between
         if diagnostics is not None:
             collected.note(k, diagnostics())
+        if collected.kept is not None:
+            collected.keep(frame, back_end)
         collected.done = k + 1
         beat[1] = k + 1
         if k % CHECK_EVERY == CHECK_EVERY - 1 and collected.first_bad() is not None:
@@ -159,6 +165,7 @@ class _Collected:
         self.update_s = np.zeros(frames)
         self.estimate_s = np.zeros(frames)
         self.series: dict[str, FloatArray] = {}
+        self.kept: list[BoolArray] | None = None
         self.done = 0
         self._checked = 0
         self._fault: str | None = None
@@ -170,6 +177,13 @@ class _Collected:
             if column is None:
                 column = series[name] = np.full(self.t.size, np.nan)
             column[k] = value
+
+    def keep(self, frame: Frame, back_end: Any) -> None:
+        assert self.kept is not None
+        kept = np.array(back_end.kept_observations(), dtype=bool)
+        if kept.shape != frame.ids.shape:
+            raise ValueError(f"kept_observations() has shape {kept.shape}; {frame.ids.shape} is needed")
+        self.kept.append(kept)
 
     def where(self) -> str:
         return f"frame {self.done}" if self.done < self.t.size else "after the last frame"
@@ -191,6 +205,7 @@ class _Collected:
             "update_s": self.update_s[done],
             "estimate_s": self.estimate_s[done],
             "diagnostics": {name: column[done] for name, column in self.series.items()},
+            "kept_observations": None if self.kept is None else tuple(self.kept[done]),
         }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from slamcmp.atomic import write_atomically
-from slamcmp.types import GroundTruth, Landmarks, Run, Trajectory
+from slamcmp.types import BoolArray, GroundTruth, Landmarks, Run, Trajectory
 
 RUN_FORMAT = "slamcmp-run-1"
 TRUTH_FORMAT = "slamcmp-truth-1"
@@ -49,6 +49,7 @@ class StoredTruth:
     digest: str
     frames: int
     truth: GroundTruth | None
+    """Its ``outliers`` mark the stream's observations, not the log's detections."""
     front_end: Mapping[str, int]
     """Totals of the front end's report."""
     error: tuple[str, str] | None = None
@@ -76,6 +77,8 @@ def save_run(stored: StoredRun, path: Path) -> None:
         arrays["ids"] = run.landmarks.ids
         arrays["positions"] = run.landmarks.positions
         arrays["covariances"] = run.landmarks.covariances
+    if run.kept_observations is not None:
+        arrays |= _joined("kept", run.kept_observations)
     arrays.update({SERIES + name: column for name, column in run.diagnostics.items()})
     _save(path, header, arrays)
 
@@ -111,8 +114,7 @@ def save_truth(stored: StoredTruth, path: Path) -> None:
     if truth is not None:
         arrays = {"t": truth.t, "T": truth.T_world_body, "ids": truth.ids, "positions": truth.positions}
         if truth.outliers is not None:
-            arrays["outliers"] = np.concatenate(truth.outliers)
-            arrays["outlier_sizes"] = np.array([mask.size for mask in truth.outliers])
+            arrays |= _joined("outliers", truth.outliers)
     _save(path, header, arrays)
 
 
@@ -134,6 +136,7 @@ def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stored
         update_s=arrays["update_s"],
         estimate_s=arrays["estimate_s"],
         landmarks=landmarks,
+        kept_observations=_masks("kept", arrays),
         diagnostics={
             name.removeprefix(SERIES): array for name, array in arrays.items() if name.startswith(SERIES)
         },
@@ -144,9 +147,7 @@ def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stored
 def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> StoredTruth:
     truth = None
     if "t" in arrays:
-        outliers = None
-        if "outliers" in arrays:
-            outliers = tuple(np.split(arrays["outliers"], np.cumsum(arrays["outlier_sizes"])[:-1]))
+        outliers = _masks("outliers", arrays)
         truth = GroundTruth(arrays["t"], arrays["T"], arrays["ids"], arrays["positions"], outliers)
     error = tuple(header["error"]) if header["error"] else None
     warnings = tuple(header["warnings"])
@@ -157,6 +158,19 @@ def _trajectory(name: str, arrays: Mapping[str, Any]) -> Trajectory | None:
     if f"{name}_t" not in arrays:
         return None
     return Trajectory(arrays[f"{name}_t"], arrays[f"{name}_T"], arrays.get(f"{name}_P"))
+
+
+def _joined(name: str, masks: Sequence[BoolArray]) -> dict[str, Any]:
+    """Masks of different lengths as two arrays."""
+    sizes = np.array([mask.size for mask in masks], dtype=np.int64)
+    return {name: np.concatenate([np.empty(0, dtype=bool), *masks]), f"{name}_sizes": sizes}
+
+
+def _masks(name: str, arrays: Mapping[str, Any]) -> tuple[BoolArray, ...] | None:
+    if name not in arrays:
+        return None
+    ends = np.cumsum(arrays[f"{name}_sizes"])
+    return tuple(np.split(arrays[name], ends[:-1])) if ends.size else ()
 
 
 def _json(value: Any) -> Any:

@@ -19,7 +19,7 @@ from slamcmp.experiment.worker import run_path, stream_path, truth_path
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.types import GroundTruth
 
-KEYS = ("trial", "label", "back_end", "seed", "digest")
+KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")
 COST_COLUMNS = ("update_s", "estimate_s", "final_s", "peak_memory_mb")
 
 
@@ -104,6 +104,8 @@ def _keys(trial: Trial, choice: Choice, digest: str, kinds: Mapping[str, str]) -
         "back_end": choice.name,
         "seed": trial.seed,
         "digest": digest,
+        # Where there is a number, the run used its own choice of that stream's observations.
+        "own_gate": math.nan if choice.own_gate is None else choice.own_gate,
         **{path: _cell(value, kinds[path]) for path, value in trial.swept.items()},
     }
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from slamcmp.backends.own_gate import OwnGate
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.plugin_models import bind_parameters
 from slamcmp.experiment.run_back_end import describe, run_back_end
@@ -40,6 +41,8 @@ class Task:
     """Of the stream that a run reads."""
     time_limit_s: float = float("inf")
     memory_limit_mb: float | None = None
+    own_gate: float | None = None
+    """Probability of a gate by the back end's own covariance."""
 
     @property
     def result(self) -> Path:
@@ -104,9 +107,29 @@ def _make_stream(task: Task) -> None:
         save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
         return
     save_stream(stream, stream_path(task.folder, stream.digest))
+    truth = truth_of_stream(log.truth, stream)
     totals = {} if stream.report is None else stream.report.totals()
-    known = StoredTruth(stream.digest, len(stream.frames), log.truth, totals, warnings=log.warnings)
+    if log.truth is not None and truth is not None and truth.outliers is not None:
+        for name, masks in (("outliers", log.truth.outliers), ("outliers kept", truth.outliers)):
+            totals[name] = sum(int(mask.sum()) for mask in masks or ())
+    known = StoredTruth(stream.digest, len(stream.frames), truth, totals, warnings=log.warnings)
     save_truth(known, task.result)
+
+
+def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> GroundTruth | None:
+    """A log's truth with its ``outliers`` over the stream's observations.
+
+    They are None where the front end does not say which detections it kept.
+    """
+    if truth is None or truth.outliers is None:
+        return truth
+    outliers = None
+    if stream.report is not None:
+        kept = stream.report.kept
+        fits = [mask.size == each.size for mask, each in zip(truth.outliers, kept, strict=True)]
+        if all(fits):
+            outliers = tuple(mask[each] for mask, each in zip(truth.outliers, kept, strict=True))
+    return replace(truth, outliers=outliers)
 
 
 def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
@@ -147,10 +170,10 @@ def scored(run: Run, truth: GroundTruth | None) -> StoredRun:
 
 
 def _make_back_end(plugin: Plugin, problem: Problem, bound: Mapping[str, Any], task: Task) -> BackEnd:
-    """A new back end; one registered with ``needs_truth`` gets the truth as well.
+    """A new back end, with ``needs_truth`` told the truth as well, and behind its own gate if it has one.
 
     Raises:
-        UsageError: it needs the truth and the log has none.
+        UsageError: it needs the truth and the log has none, or cannot gate for itself.
     """
     arguments: list[Any] = [problem]
     if plugin.traits.get("needs_truth"):
@@ -159,7 +182,7 @@ def _make_back_end(plugin: Plugin, problem: Problem, bound: Mapping[str, Any], t
             raise UsageError(f"{plugin.name} needs the truth, and this source's log has none")
         arguments.append(truth)
     made: BackEnd = plugin.target(*arguments, **bound)
-    return made
+    return made if task.own_gate is None else OwnGate(made, problem, task.own_gate)
 
 
 def _truth(task: Task) -> GroundTruth | None:

@@ -14,6 +14,7 @@ from slamcmp.errors import DataError
 from slamcmp.geometry import heading, rotation, translation
 from slamcmp.metrics.accuracy import position_errors
 from slamcmp.metrics.consistency import nees_series, quadratic_forms
+from slamcmp.metrics.gating import gate_counts
 from slamcmp.metrics.matching import heading_errors, matched_landmarks, pose_errors, translation_part
 from slamcmp.registry import Plugin, metrics
 from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
@@ -90,6 +91,8 @@ def frame_table(
     for which, trajectory in trajectories.items():
         columns |= _trajectory_columns(which, trajectory, truth, reference)
     columns |= {"update_s": run.update_s, "estimate_s": run.estimate_s}
+    if run.kept_observations is not None:
+        columns |= gate_counts(run, truth)
     for name, series in run.diagnostics.items():
         while name in columns or name in taken:
             name += "_diagnostic"
