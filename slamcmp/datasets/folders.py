@@ -109,7 +109,14 @@ def number_table(path: Path, columns: int, *, exactly: bool = False) -> FloatArr
     Raises:
         DataError: see :func:`text_rows` and :func:`numbers`; or there is no line.
     """
-    rows = [numbers(where, fields[:columns]) for where, fields in text_rows(path, columns, exactly=exactly)]
+    rows = text_rows(path, columns, exactly=exactly)
     if not rows:
         raise DataError(f"{path}: holds no line of {columns} numbers")
-    return np.array(rows)
+    try:
+        table = np.array([fields[:columns] for _, fields in rows], dtype=np.float64)
+    except ValueError:
+        table = np.array([np.nan])
+    if not np.isfinite(table).all():
+        # Again, line by line: to say which one it is.
+        table = np.array([numbers(where, fields[:columns]) for where, fields in rows])
+    return table

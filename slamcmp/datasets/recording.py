@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -177,9 +178,7 @@ def _selected(recording: Recording, settings: RecordingSettings) -> Recording:
             f"time stamps go back at {chosen.file(back)}; frames are taken in order of time"
         )
         chosen.kept.sort(key=lambda index: float(recording.t[index]))
-    repeats = [
-        b for a, b in zip(chosen.kept, chosen.kept[1:], strict=False) if recording.t[a] == recording.t[b]
-    ]
+    repeats = [b for a, b in pairwise(chosen.kept) if recording.t[a] == recording.t[b]]
     chosen.leave_out(repeats, "with the time stamp of another")
     for poses, what in ((recording.truth, "ground truth"), (recording.odometry, "recorded odometry")):
         if poses is not None:

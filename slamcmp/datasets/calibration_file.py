@@ -1,0 +1,144 @@
+"""A calibration file of one's own camera, for folders of images.
+
+YAML with these keys, in pixels and metres::
+
+    camera: stereo                  # mono, stereo or rgbd
+    image_size: [752, 480]          # width, height
+    intrinsics: [fx, fy, cx, cy]
+    distortion: [k1, k2, p1, p2]    # radial-tangential, k3 may follow; absent: none
+    T_body_camera: [...]            # 4×4; absent: x forward, y left, z up at the camera
+    baseline_m: 0.12                # stereo, where the pair is rectified already; else:
+    right:
+      intrinsics: [fx, fy, cx, cy]
+      distortion: [k1, k2, p1, p2]
+      T_left_right: [...]           # 4×4, maps points of the right camera to the left one
+    depth_units_per_m: 1000         # rgbd: value of a pixel one metre away
+    depth_unknown: 65535            # rgbd: a value for pixels without depth, beside 0; may be absent
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.datasets.camera_frames import DepthFormat, require_fit
+from slamcmp.datasets.rectification import Lens, Remap, Size, rectify, undistort
+from slamcmp.datasets.trajectories import nearest_rotations
+from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
+from slamcmp.errors import DataError
+from slamcmp.geometry import inverse, pose
+from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera, StereoCamera
+from slamcmp.registry import did_you_mean
+
+FloatArray = NDArray[np.float64]
+AnyCamera = MonoCamera | StereoCamera | RgbdCamera
+
+_COMMON = {"camera", "image_size", "intrinsics", "distortion", "T_body_camera"}
+_OWN = {"mono": set(), "stereo": {"baseline_m", "right"}, "rgbd": {"depth_units_per_m", "depth_unknown"}}
+_RIGHT = {"intrinsics", "distortion", "T_left_right"}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration file means for reading the images."""
+
+    camera: AnyCamera
+    """Without distortion, rectified."""
+    size: Size
+    left: Remap | None
+    right: Remap | None
+    depth: DepthFormat | None
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration file; its keys stand in the module's text.
+
+    Raises:
+        DataError: a key is missing, not known, or its value does not fit; the message names file and key.
+    """
+    data = read_mapping(path)
+    kind = value_of(path, data, "camera")
+    if kind not in _OWN:
+        raise DataError(f"{path}: camera is {kind!r}; mono, stereo or rgbd is needed")
+    _require_known(path, data, _COMMON | _OWN[kind])
+    width, height = (
+        _positive(path, "image_size", value) for value in numbers_of(path, data, "image_size", 2)
+    )
+    size = (int(width), int(height))
+    mounting = _rigid(path, data, "T_body_camera") if "T_body_camera" in data else FORWARD_CAMERA
+    lens = _lens(path, data)
+    if kind == "stereo":
+        calibration = _stereo(path, data, lens, size, mounting)
+    else:
+        K, remap = undistort(lens, size)
+        if kind == "mono":
+            mono = MonoCamera(**_intrinsics(K), T_body_camera=mounting)
+            calibration = Calibration(mono, size, remap, None, None)
+        else:
+            rgbd = RgbdCamera(**_intrinsics(K), T_body_camera=mounting)
+            calibration = Calibration(rgbd, size, remap, None, _depth(path, data))
+    require_fit(calibration.camera, size, str(path))
+    return calibration
+
+
+def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: FloatArray) -> Calibration:
+    if ("right" in data) == ("baseline_m" in data):
+        raise DataError(
+            f"{path}: give baseline_m for a pair that is rectified, right for one that is not; one of them"
+        )
+    if "baseline_m" in data:
+        if lens.distortion.any():
+            raise DataError(f"{path}: a pair with distortion is not rectified; give right, not baseline_m")
+        baseline = _positive(path, "baseline_m", data["baseline_m"])
+        camera = StereoCamera(**_intrinsics(lens.K), baseline_m=baseline, T_body_camera=mounting)
+        return Calibration(camera, size, None, None, None)
+    _require_known(path, data["right"], _RIGHT, "right.")
+    T_left_right = _rigid(path, data, "right.T_left_right")
+    pair = rectify(lens, _lens(path, data, "right."), inverse(T_left_right), size)
+    if not pair.baseline_m > 0:
+        raise DataError(f"{path}: right.T_left_right puts the right camera to the left of the left one")
+    turned = mounting @ pose(pair.R_left_new, np.zeros(3))
+    camera = StereoCamera(**_intrinsics(pair.K), baseline_m=pair.baseline_m, T_body_camera=turned)
+    return Calibration(camera, size, pair.left, pair.right, None)
+
+
+def _depth(path: Path, data: dict[str, Any]) -> DepthFormat:
+    units = _positive(path, "depth_units_per_m", value_of(path, data, "depth_units_per_m"))
+    unknown = data.get("depth_unknown")
+    return DepthFormat(units, None if unknown is None else int(_positive(path, "depth_unknown", unknown)))
+
+
+def _intrinsics(K: FloatArray) -> dict[str, float]:
+    return {"fx_px": K[0, 0], "fy_px": K[1, 1], "cx_px": K[0, 2], "cy_px": K[1, 2]}
+
+
+def _lens(path: Path, data: dict[str, Any], prefix: str = "") -> Lens:
+    fx, fy, cx, cy = numbers_of(path, data, f"{prefix}intrinsics", 4)
+    for value in (fx, fy):
+        _positive(path, f"{prefix}intrinsics", value)
+    inner = data["right"] if prefix else data
+    distortion = numbers_of(path, data, f"{prefix}distortion", 4, 5) if "distortion" in inner else [0.0] * 4
+    return Lens(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(distortion))
+
+
+def _rigid(path: Path, data: dict[str, Any], key: str) -> FloatArray:
+    T = np.array(numbers_of(path, data, key, 16)).reshape(4, 4)
+    return pose(nearest_rotations(path, T[:3, :3]), T[:3, 3])
+
+
+def _positive(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
+        raise DataError(f"{path}: {key} is {value!r}; a positive number is needed")
+    return float(value)
+
+
+def _require_known(path: Path, data: Any, known: set[str], prefix: str = "") -> None:
+    if not isinstance(data, dict):
+        raise DataError(f"{path}: {prefix.rstrip('.')} is not a mapping (key: value)")
+    for key in data:
+        if key not in known:
+            raise DataError(f"{path}: unknown key {prefix}{key}{did_you_mean(str(key), known)}")
