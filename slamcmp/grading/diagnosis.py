@@ -48,7 +48,11 @@ def explain(
         known: messages (templates over the fields of :class:`Difference`) with the answers of the mutant.
     """
     own, right = _by_place(student), _by_place(reference)
-    wrong = [place for place in own if place in right and not _same(own[place], right[place])]
+    wrong = [
+        place
+        for place in own
+        if place in right and not _missing(own[place]) and not _same(own[place], right[place])
+    ]
     if not wrong:
         return []
     found: list[str] = []
@@ -66,6 +70,9 @@ def explain(
             at = _largest(explained[0], own[explained[0]], right[explained[0]])
             found.append(message.format(**vars(at)))
             unexplained = [place for place in unexplained if place not in explained]
+        if not unexplained:
+            # The next mutant would be run only now, which takes far longer than all the rest.
+            break
     if not found:
         found = [text for place in wrong if (text := _signature(place, own[place], right[place]))]
     return list(dict.fromkeys(found))[:2]
@@ -77,6 +84,11 @@ def _by_place(answers: Sequence[Remembered]) -> dict[Place, list[Any]]:
         for path, leaf in leaves(answer.answer):
             places[answer.name, path].append(leaf)
     return places
+
+
+def _missing(answers: Sequence[Any]) -> bool:
+    """Whether it is a function that is still to be written: no mistake has to be looked for."""
+    return all(isinstance(answer, str) and answer.startswith("NotImplementedError") for answer in answers)
 
 
 def _same(first: Sequence[Any], second: Sequence[Any]) -> bool:
@@ -145,6 +157,8 @@ def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
     if ratios and all(_alike(a, ratios[0] * b) for a, b in pairs):
         return f"{what} is {ratios[0]:.4g} times what it should be."
     squares = [(a, b) for a, b in pairs if a.ndim == 2 and a.shape[0] == a.shape[1]]
+    if squares and all(_alike(a @ b, np.eye(len(a))) for a, b in squares):
+        return f"{what} is the inverse of what it should be; are covariance and information mixed up?"
     if squares and all(_alike(b, b.T) and not _alike(a, a.T) for a, b in squares):
         return f"{what} is not symmetric, as a covariance has to be; is a transpose missing?"
     return ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -149,3 +150,31 @@ def test_diagnosis_prefers_known_mistakes_and_falls_back_on_signatures() -> None
     negated = [Remembered("f", (), (-right[0].answer[0], np.eye(2)))]
     assert explain(negated, right, known) == ["output 1 of f has the wrong sign throughout."]
     assert explain(right, right, known) == []
+
+
+def test_diagnosis_knows_an_inverse_from_any_other_wrong_matrix() -> None:
+    covariance = np.array([[2.0, 0.5], [0.5, 1.0]])
+    right = [Remembered("f", (), covariance)]
+    inverse = [Remembered("f", (), np.linalg.inv(covariance))]
+    assert explain(inverse, right, []) == [
+        "f is the inverse of what it should be; are covariance and information mixed up?"
+    ]
+    other = [Remembered("f", (), np.array([[2.0, 0.1], [0.1, 1.0]]))]
+    assert explain(other, right, []) == []
+
+
+def test_diagnosis_runs_no_more_mutants_than_it_needs() -> None:
+    right = [Remembered("f", (), 1.0), Remembered("g", (), 1.0)]
+    asked = []
+
+    def known() -> Iterator[tuple[str, list[Remembered]]]:
+        for message, value in (("first", 2.0), ("second", 3.0), ("third", 3.0)):
+            asked.append(message)
+            yield message, [Remembered("f", (), value)]
+
+    wrong = [Remembered("f", (), 3.0), Remembered("g", (), "NotImplementedError: ")]
+    assert explain(wrong, right, known()) == ["second"]
+    assert asked == ["first", "second"]
+    asked.clear()
+    assert explain([wrong[1]], right, known()) == []
+    assert asked == []
