@@ -37,7 +37,7 @@ class Choice:
         return REGISTRIES[self.kind].get(self.spec)
 
     def arguments(self) -> dict[str, Any]:
-        """The parameters, with the path of each data file that lies beside the experiment file made absolute.
+        """The parameters, with the path of each file or folder that lies beside the experiment file absolute.
 
         :attr:`parameters` keep it as it was written: results say what the user said.
         """
@@ -45,7 +45,7 @@ class Choice:
         for name in self.plugin().traits.get("paths", ()):
             if self.folder is not None and isinstance(values.get(name), str):
                 beside = self.folder / Path(values[name]).expanduser()
-                if beside.is_file():
+                if beside.exists():
                     values[name] = str(beside.resolve())
         return values
 

@@ -45,7 +45,13 @@ def stream_key(source: Choice, front_end: Choice, seed: int | None) -> str:
     )
 
 
-def run_key(stream: str, back_end: Choice, time_limit_s: float, memory_limit_mb: float | None) -> str:
+def run_key(
+    stream: str,
+    back_end: Choice,
+    time_limit_s: float,
+    memory_limit_mb: float | None,
+    recording: Mapping[str, Any] | None = None,
+) -> str:
     """Of a back end's run, with its scores, on the stream of that key."""
     runner = Path(__file__).with_name("worker.py")
     computing = {
@@ -58,6 +64,7 @@ def run_key(stream: str, back_end: Choice, time_limit_s: float, memory_limit_mb:
             "stream": stream,
             "back_end": [back_end.name, dict(back_end.parameters), back_end.own_gate],
             "limits": [time_limit_s, memory_limit_mb],
+            "recording": recording,
             "code": code_version(_files(back_end.plugin()) | computing),
             "versions": versions(),
         }
@@ -77,7 +84,7 @@ def versions() -> Mapping[str, str]:
 
 
 def data_digests(source: Choice) -> dict[str, str]:
-    """sha256 of each data file the source says it reads, by file name.
+    """sha256 of each data file the source says it reads, by file name, or by path where names are alike.
 
     Raises:
         MissingDataError: one of them is not there.
@@ -87,17 +94,23 @@ def data_digests(source: Choice) -> dict[str, str]:
     if files is None:
         return {}
     try:
-        paths: Iterable[Path] = files(**bind_parameters(plugin, source.arguments()))
+        paths = [Path(path) for path in files(**bind_parameters(plugin, source.arguments()))]
     except MissingDataError as error:
         if source.folder is None or not plugin.traits.get("paths"):
             raise
         folder = source.folder.resolve()
         raise MissingDataError(f"{error}; looked beside the experiment file first, in {folder}") from error
+    names = [path.name for path in paths]
+    if len(set(names)) < len(names):
+        # The left and the right image of an instant are often called alike.
+        absolute = [path.absolute() for path in paths]
+        root = os.path.commonpath([path.parent for path in absolute])
+        names = [path.relative_to(root).as_posix() for path in absolute]
     digests = {}
-    for path in map(Path, paths):
+    for name, path in zip(names, paths, strict=True):
         if not path.is_file():
             raise MissingDataError(f"source {source.name!r}: there is no data file {path}")
-        digests[path.name] = _file_digest(str(path), *_stamp(path))
+        digests[name] = _file_digest(str(path), *_stamp(path))
     return digests
 
 

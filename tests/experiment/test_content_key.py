@@ -8,7 +8,7 @@ import pytest
 
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config import load_experiment
-from slamcmp.experiment.content_key import PACKAGE, code_version, import_closure
+from slamcmp.experiment.content_key import PACKAGE, code_version, data_digests, import_closure
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.trials import make_trials
 from slamcmp.registry import sources
@@ -75,6 +75,34 @@ def test_keys_follow_the_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     data.unlink()
     with pytest.raises(MissingDataError, match=r"log\.txt"):
         keys(path)
+
+
+def test_keys_follow_each_of_two_files_of_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the left and the right image of an instant have."""
+    images = [tmp_path / "left" / "0.png", tmp_path / "right" / "0.png"]
+    for image in images:
+        image.parent.mkdir()
+        image.write_text("1")
+    monkeypatch.setitem(sources.get("victoria_park").traits, "files", lambda **_: images)
+    path = tmp_path / "e.yaml"
+    path.write_text("source: {name: victoria_park}\nback_ends: [{name: ekf_slam}]\n")
+    seen = {keys(path)[0]}
+    for image in images:
+        image.write_text("22")
+        seen.add(keys(path)[0])
+    assert len(seen) == 3
+    assert set(data_digests(load_experiment(path).source)) == {"left/0.png", "right/0.png"}
+
+
+def test_a_folder_of_data_is_found_beside_the_experiment(tmp_path: Path) -> None:
+    (tmp_path / "drive").mkdir()
+    path = tmp_path / "e.yaml"
+    path.write_text(
+        "source: {name: kitti_odometry, folder: drive}\nback_ends: [{name: ekf_slam}]\n", encoding="utf-8"
+    )
+    source = load_experiment(path).source
+    assert source.parameters["folder"] == "drive"
+    assert source.arguments()["folder"] == str(tmp_path / "drive")
 
 
 def test_graph_file_is_found_beside_the_experiment_first(
