@@ -28,6 +28,7 @@ from slamcmp.backends.ekf_charts import WorldChart
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, stacked
 from slamcmp.backends.filter_history import Step
 from slamcmp.backends.linearisation import LatestEstimate
+from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.geometry import so3_left_jacobian
 from slamcmp.registry import back_ends
 from slamcmp.types import Frame, Problem
@@ -42,7 +43,8 @@ class IteratedEkf(ErrorStateEkf):
 
     Args:
         problem: prior and sensor.
-        iterations: most Gauss–Newton steps a frame; 1 is the plain EKF.
+        iterations: most Gauss–Newton steps a frame; 1 is the plain EKF. A step after one that jumped over
+            the minimum is shortened, but for the last.
         tolerance: a step whose largest entry [m or rad] is below it is the last.
         smooth: keep the history and offer ``trajectory()`` (RTS).
 
@@ -99,6 +101,8 @@ class IteratedEkf(ErrorStateEkf):
         P = self._P.columns(touched, n)[touched]
         seen_prior = self._landmarks[numbers]
         s = np.zeros(touched.size)
+        last_step: FloatArray | None = None
+        share = 1.0
         for remaining in reversed(range(self._iterations)):
             T, seen = self._chart.retract(self._T, seen_prior, s)
             self._points = T, seen, numbers
@@ -106,10 +110,11 @@ class IteratedEkf(ErrorStateEkf):
             H = stacked(H_pose @ self._carried(s), H_land)
             y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s
             if remaining:
-                after = P @ H.T @ np.linalg.solve(H @ P @ H.T + R_all, y)
-                if np.abs(after - s).max() < self._tolerance:
+                step = P @ H.T @ np.linalg.solve(H @ P @ H.T + R_all, y) - s
+                if np.abs(step).max() < self._tolerance:
                     break
-                s = after
+                share, last_step = relaxed_share(step, last_step, share), step
+                s = s + share * step
         return s, touched, y, H, R_all
 
     def _carried(self, s: FloatArray) -> FloatArray:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from slamcmp.backends.gauss_newton import GaussNewtonStep
 from slamcmp.backends.marginalisation import Prior, Quadratic
+from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.backends.unanchored import Linearisation, UnanchoredWindow
 from slamcmp.backends.whitening import whitener, whiteners
 from slamcmp.backends.window_cost import (
@@ -66,9 +67,9 @@ class SlidingWindow:
     Args:
         problem: prior and sensor (planar or spatial; the sensor must be invertible, d = n).
         window: poses kept, the current one included; null keeps all (full smoothing).
-        iterations: most Gauss-Newton iterations a frame; if more than one, a step that would raise the cost
-            is halved until it does not.
-        tolerance: iterations end when no component of a step [m, rad] is larger.
+        iterations: most Gauss-Newton iterations a frame; if more than one, a step after one that jumped over
+            the minimum is shortened, and a step that would raise the cost is halved until it does not.
+        tolerance: iterations end when no component of a whole step [m, rad] is larger.
         linearisation: where Jacobians are taken. "latest": at the current estimate. "fej": variables that
             share a cost with marginalised ones keep the point of their first one (first-estimates
             Jacobians). "frozen": every measurement keeps the linear form of the frame it came in.
@@ -235,6 +236,8 @@ class SlidingWindow:
 
     def _solve(self) -> None:
         """Gauss-Newton from the predicted state until the step is small enough."""
+        last_step: FloatArray | None = None
+        share = 1.0
         for iteration in range(1, self._iterations + 1):
             if not self._frozen:
                 self._linearise()
@@ -247,16 +250,17 @@ class SlidingWindow:
                 len(self._landmarks),
                 self._n,
             )
-            share = self._share_of(step)
+            whole_step = np.concatenate([step.pose_step.ravel(), step.landmark_step.ravel()])
+            first_try = relaxed_share(whole_step, last_step, share)
+            share, last_step = self._share_of(step, first_try), whole_step
             pose_step, landmark_step = share * step.pose_step, share * step.landmark_step
             self._T, self._turn = retract_in_world_axes(self._T, pose_step)
             self._landmarks = self._landmarks + landmark_step
             self._recentre(pose_step, landmark_step)
             self._step, self._joint, self._used = step, None, iteration
-            sizes = np.abs(pose_step).max(), np.abs(landmark_step).max(initial=0.0)
-            self._last_size = float(max(sizes))
+            self._last_size = float(np.abs(whole_step).max())
             # A step that was halved to nothing would only be computed once more.
-            if self._last_size < self._tolerance or share <= 0.5**HALVINGS:
+            if self._last_size < self._tolerance or share <= first_try * 0.5**HALVINGS:
                 break
 
     def _linearise(self) -> None:
@@ -291,13 +295,12 @@ class SlidingWindow:
             self._W[rows],
         )
 
-    def _share_of(self, step: GaussNewtonStep) -> float:
-        """1, or less where the whole step would raise the cost; a single iteration is never questioned."""
+    def _share_of(self, step: GaussNewtonStep, share: float) -> float:
+        """``share``, or less where it would raise the cost; a single iteration is never questioned."""
         if self._iterations == 1 or self._frozen:
             return 1.0
         squares = float((self._odometry.b**2).sum() + (self._observations.b**2).sum())
         bound = (self._linear_prior.c + squares) * (1.0 + 1e-9) + 1e-9
-        share = 1.0
         for _ in range(HALVINGS):
             T, _ = retract_in_world_axes(self._T, share * step.pose_step)
             if self._cost(T, self._landmarks + share * step.landmark_step) <= bound:

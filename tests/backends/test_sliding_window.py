@@ -312,7 +312,7 @@ def test_steps_that_would_raise_the_cost_are_halved(monkeypatch: pytest.MonkeyPa
         return worst
 
     assert worst_error() < 10.0
-    monkeypatch.setattr(SlidingWindow, "_share_of", lambda self, step: 1.0)
+    monkeypatch.setattr(SlidingWindow, "_share_of", lambda self, step, share: 1.0)
     assert worst_error() > 1000.0
 
 
