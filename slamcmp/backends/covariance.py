@@ -16,11 +16,13 @@ P         joint covariance (n, n): pose tangent first, then landmarks
 A         derivative of the pose's new error by its old one, (p, p)
 G         derivative of new states by the pose, (a, p)
 W         square root of the downdate, (n, k)
+H         stacked Jacobian of a frame's observations
 ========  ========================================================
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -32,6 +34,9 @@ IntArray = NDArray[np.int64]
 
 FULL_LIMIT = 256
 """Most states for which both triangles are kept."""
+
+BLOCKWISE_FROM = 48
+"""Fewest observations for which H is multiplied block by block and not as a matrix that is mostly zero."""
 
 
 class JointCovariance:
@@ -154,6 +159,23 @@ class JointCovariance:
             P[:n, n : n + a] = rows.T
         self._n = n + a
 
+    def remove(self, states: IntArray) -> None:
+        """Marginalise ``states``: their rows and columns go, the others close ranks in their order."""
+        n = self._n
+        keep = np.delete(np.arange(n), states)
+        # Transposed, the Fortran buffer is in the order that numpy copies fastest.
+        kept = self._buffer.T[np.ix_(keep, keep)].T
+        self._n = keep.size
+        if keep.size <= FULL_LIMIT:
+            self._buffer = np.array(kept if self._full else _mirrored(kept), order="C")
+            self._scratch = np.empty_like(self._buffer)
+            self._full = True
+            return
+        P = self._buffer
+        P[: keep.size, : keep.size] = kept
+        P[keep.size : n, :n] = 0.0
+        P[: keep.size, keep.size : n] = 0.0
+
     def overwrite(self, states: IntArray, rows: FloatArray, size: int) -> None:
         """Set the rows (c, n) of ``states`` (c,), and their columns: the pose's, then whole landmarks'."""
         n, p = self._n, self._p
@@ -187,21 +209,52 @@ class JointCovariance:
         """Nothing: no correction is ever postponed here."""
 
     def _add_product(self, sign: float, W_t: FloatArray, n: int) -> None:
+        if self._buffer.shape[0] > n + max(64, n // 8):
+            self._move(n)
         padded = np.zeros((W_t.shape[0], self._buffer.shape[0]), order="F")
         padded[:, :n] = W_t
         dsyrk(sign, padded, beta=1.0, c=self._buffer, trans=1, lower=1, overwrite_c=1)
 
     def _reserve(self, size: int) -> None:
-        if size <= self._buffer.shape[0]:
-            return
+        if size > self._buffer.shape[0]:
+            self._move(size)
+
+    def _move(self, size: int) -> None:
+        """Into a buffer for ``size`` states and a few more."""
         n = self._n
         stays_full = size <= FULL_LIMIT
         # Slack costs flops in every dsyrk, reallocation a copy: 1/64 keeps the first near 3 %.
         capacity = size if stays_full else size + max(16, size // 64)
-        grown = np.zeros((capacity, capacity), order="C" if stays_full else "F")
-        grown[:n, :n] = self._buffer[:n, :n]
-        self._buffer, self._full = grown, stays_full
-        self._scratch = np.empty_like(grown) if stays_full else np.empty((0, 0))
+        moved = np.zeros((capacity, capacity), order="C" if stays_full else "F")
+        moved[:n, :n] = self._buffer[:n, :n]
+        self._buffer, self._full = moved, stays_full
+        self._scratch = np.empty_like(moved) if stays_full else np.empty((0, 0))
+
+
+def multiplier(H_pose: FloatArray, H_land: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """X (p + m n, s) -> H X (m d, s) for the stacked Jacobian H of m observations of one landmark each.
+
+    H has the columns ``H_pose`` (m d, p), then the blocks ``H_land`` (m, d, n) and zeros; X the rows of the
+    pose, then those of the m landmarks.
+    """
+    m, d, n = H_land.shape
+    p = H_pose.shape[1]
+    if m < BLOCKWISE_FROM:
+        H_t = np.concatenate([H_pose, block_diagonal(H_land)], axis=1).T
+
+        # Transposed, so that LAPACK gets the layout that it can work on in place.
+        def dense(X: FloatArray) -> FloatArray:
+            HX: FloatArray = (X.T @ H_t).T
+            return HX
+
+        return dense
+
+    def blockwise(X: FloatArray) -> FloatArray:
+        HX: FloatArray = np.matmul(H_land, X[p:].reshape(m, n, -1)).reshape(m * d, -1)
+        HX += H_pose @ X[:p]
+        return HX
+
+    return blockwise
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:

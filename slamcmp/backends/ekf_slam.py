@@ -37,11 +37,13 @@ from annotated_types import Ge
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from slamcmp.backends.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.covariance import JointCovariance, block_diagonal, multiplier
+from slamcmp.backends.entries import Entries, entering, has_blind_side, placed, with_image
 from slamcmp.backends.postponed_covariance import PostponedCovariance
 from slamcmp.backends.unanchored import Linearisation, UnanchoredFilter, square_root
-from slamcmp.errors import DivergedError
+from slamcmp.errors import DivergedError, UsageError
 from slamcmp.geometry import adjoint_of_inverse, exp, retract_in_world_axes
+from slamcmp.models.sensors import entry_sensor
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem
 
@@ -54,7 +56,7 @@ class EkfSlam:
     """EKF-SLAM with one stacked update per frame.
 
     Args:
-        problem: prior and sensor (planar or spatial; the sensor must be invertible, d = n).
+        problem: prior and sensor (planar or spatial).
         new_landmarks: "join_first" puts new landmarks into the state before the update (the course's cost
             construction: linearised at the predicted pose); "update_first" corrects the pose with the
             known landmarks first and initialises the new ones from the corrected pose.
@@ -63,9 +65,16 @@ class EkfSlam:
         active_landmarks: with a number, at most that many landmarks, those seen last, are updated at every
             frame and all others only when it is due (postponed_covariance.py): the same numbers, sooner on a
             map of hundreds of landmarks of which few are in sight.
+        forget_after: a landmark that this many frames have not seen leaves the state (its rows and columns
+            are dropped, which changes nothing else if it is never seen again). Seen again, it enters anew,
+            without the memory that would close a loop; where one measurement does not place a landmark
+            (a single camera), what is measured of a forgotten one is dropped, and counted. None: never.
 
     Raises:
-        DivergedError: an innovation covariance is not positive definite or not finite.
+        UsageError: both ``active_landmarks`` and ``forget_after`` are given.
+        DataError: a measurement that should place a landmark does not.
+        DivergedError: an innovation covariance is not positive definite or not finite, or most landmarks
+            that a camera sees are behind it.
     """
 
     def __init__(
@@ -75,8 +84,16 @@ class EkfSlam:
         new_landmarks: Literal["join_first", "update_first"] = "join_first",
         error_state: Literal["world", "body"] = "world",
         active_landmarks: Annotated[int, Ge(1)] | None = None,
+        forget_after: Annotated[int, Ge(1)] | None = None,
     ) -> None:
+        if active_landmarks is not None and forget_after is not None:
+            raise UsageError(
+                "ekf_slam: active_landmarks postpones the work on landmarks out of sight, forget_after drops "
+                "them; give one of the two"
+            )
         self._sensor = problem.sensor
+        self._entry_sensor = entry_sensor(problem.sensor)
+        self._has_blind_side = has_blind_side(problem.sensor)
         self._n = problem.sensor.space_dim
         self._join_first = new_landmarks == "join_first"
         self._in_world_axes = error_state == "world"
@@ -89,40 +106,45 @@ class EkfSlam:
         )
         self._landmarks = np.empty((64, self._n))
         self._number: dict[int, int] = {}
+        self._forget_after = forget_after
+        self._last_seen: dict[int, int] = {}
         self._k = -1
         self._nis = 0.0
         self._nis_dof = 0
+        self._dropped = 0
         self._unanchored: UnanchoredFilter | None = None
         self._points: tuple[FloatArray, FloatArray, IntArray] | None = None
 
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
         self._k = frame.k
-        self._nis, self._nis_dof = 0.0, 0
+        self._nis, self._nis_dof, self._dropped = 0.0, 0, 0
         self._points = None
+        if self._forget_after is not None:
+            self._forget(frame, self._forget_after)
         if frame.k > 0:
             self._predict(frame.T_prev_body, frame.Q)
-        if frame.ids.size == 0:
-            return
         numbers = [self._number.get(landmark, -1) for landmark in frame.ids.tolist()]
-        if -1 not in numbers:
-            self._correct(np.array(numbers), frame.z, frame.R)
+        if -1 not in numbers and frame.entries is None:
+            if numbers:
+                self._correct(np.array(numbers), frame.z, frame.R)
             return
         known = np.array(numbers) >= 0
-        new = ~known
+        entries = entering(frame, ~known, self._sensor)
+        self._dropped = entries.dropped
         if self._join_first:
-            self._augment(frame.ids[new], frame.z[new], frame.R[new])
+            self._augment(entries)
         if known.any():
             self._correct(np.array(numbers)[known], frame.z[known], frame.R[known])
         if not self._join_first:
-            self._augment(frame.ids[new], frame.z[new], frame.R[new])
+            self._augment(entries)
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
         return Estimate(self._T, self._P.pose_block())
 
     def landmarks(self) -> Landmarks:
-        """Every landmark ever seen, in the order of first sight."""
+        """The landmarks in the state, in the order in which they entered; not those forgotten."""
         self._P.settle(self._landmarks)
         count = len(self._number)
         ids = np.fromiter(self._number, dtype=np.int64, count=count)
@@ -133,11 +155,13 @@ class EkfSlam:
         return self._P.dense()
 
     def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the last frame with its degrees of freedom, and the number of landmarks."""
+        """NIS of the last frame with its degrees of freedom, landmarks in the state, and how many of the
+        frame's measurements were dropped (entries.py)."""
         return {
             "nis": self._nis if self._nis_dof else float("nan"),
             "nis_dof": self._nis_dof,
             "landmarks": len(self._number),
+            "dropped": self._dropped,
         }
 
     def record_linearisation(self) -> None:
@@ -160,11 +184,35 @@ class EkfSlam:
         if self._unanchored is not None:
             self._unanchored.move(A, None, square_root(Q))
 
-    def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> None:
+    def _forget(self, frame: Frame, after: int) -> None:
+        """Marginalise the landmarks that have been out of sight long enough, this frame included."""
+        seen = set(frame.ids.tolist())
+        if frame.entries is not None:
+            seen.update(frame.entries.ids.tolist())
+        self._last_seen.update(dict.fromkeys(seen, frame.k))
+        oldest = frame.k - after
+        stays = np.array([self._last_seen[landmark] > oldest for landmark in self._number], dtype=bool)
+        if stays.all():
+            return
+        assert isinstance(self._P, JointCovariance)
+        n, p = self._n, self._no_noise.shape[0]
+        states = (p + n * np.flatnonzero(~stays)[:, None] + np.arange(n)).ravel()
+        self._P.remove(states)
+        if self._unanchored is not None:
+            self._unanchored.drop(states)
+        self._landmarks[: stays.sum()] = self._landmarks[: stays.size][stays]
+        kept = [landmark for landmark, stay in zip(self._number, stays, strict=True) if stay]
+        self._number = {landmark: number for number, landmark in enumerate(kept)}
+        self._last_seen = {landmark: self._last_seen[landmark] for landmark in {*kept, *seen}}
+
+    def _augment(self, entries: Entries) -> None:
         """New landmarks at their inverse observation, with their correlation to everything known."""
+        ids, R = entries.ids, entries.R
+        if ids.size == 0:
+            return
         n, count = self._n, len(self._number)
-        positions = self._sensor.invert(self._T, z)
-        H_pose, H_land = self._sensor.jacobians(self._T, positions)
+        positions = placed(self._entry_sensor, self._T, entries, self._k)
+        H_pose, H_land = self._entry_sensor.jacobians(self._T, positions)
         # 0 = H_pose xi + H_land dl - v, solved for dl: no sensor needs a Jacobian of its inverse.
         H_inv = np.linalg.inv(H_land)
         G = -(H_inv @ H_pose).reshape(ids.size * n, -1)
@@ -184,14 +232,18 @@ class EkfSlam:
         touched = self._P.touch(numbers, self._landmarks)
         seen = self._landmarks[numbers]
         z_predicted, H_pose, H_land = self._sensor.linearise(self._T, seen)
+        if self._has_blind_side and not np.isfinite(z_predicted).all():
+            exists = with_image(z_predicted, self._k)
+            self._dropped += exists.size - int(exists.sum())
+            self._correct(numbers[exists], z[exists], R[exists])
+            return
         y = self._sensor.residual(z, z_predicted).ravel()
         p = H_pose.shape[2]
-        # H without its zero columns: pose first, then the landmarks seen, block by block.
-        H = np.concatenate([H_pose.reshape(y.size, p), block_diagonal(H_land)], axis=1)
-        PHt = self._P.columns(touched, self._n) @ H.T
-        S = H @ PHt[touched] + block_diagonal(R)
+        times_H = multiplier(H_pose.reshape(y.size, p), H_land)
+        PHt_t = times_H(self._P.columns(touched, self._n).T)
+        S = times_H(PHt_t.T[touched]) + block_diagonal(R)
         L, failed = dpotrf(S, lower=1)
-        W_t, _ = dtrtrs(L, PHt.T, lower=1, overwrite_b=1)
+        W_t, _ = dtrtrs(L, PHt_t, lower=1, overwrite_b=1)
         e, _ = dtrtrs(L, y, lower=1)
         nis = float(e @ e)
         # dpotrf lets NaN through; it always reaches the NIS.
@@ -203,10 +255,9 @@ class EkfSlam:
         dx = e @ W_t
         self._P.downdate(W_t)
         if self._unanchored is not None:
-            states = np.concatenate(
-                [np.arange(p), (p + self._n * numbers[:, None] + np.arange(self._n)).ravel()]
-            )
-            self._unanchored.observe(states, H, block_diagonal(R))
+            states = (p + self._n * numbers[:, None] + np.arange(self._n)).ravel()
+            H = np.concatenate([H_pose.reshape(y.size, p), block_diagonal(H_land)], axis=1)
+            self._unanchored.observe(np.concatenate([np.arange(p), states]), H, block_diagonal(R))
             self._points = self._T, seen, numbers
         if self._in_world_axes:
             self._T, J = retract_in_world_axes(self._T, dx[:p])

@@ -117,6 +117,14 @@ class UnanchoredFilter:
         self._rows.append(_whitened(row, noise))
         self._squares += (self._rows[-1][:, -self._p :] ** 2).sum(axis=0)
 
+    def drop(self, states: IntArray) -> None:
+        """Marginalise landmarks' states (s,) between two steps; the others close ranks in their order."""
+        R = self._triangle()
+        columns = self._columns(states)
+        keep = np.setdiff1d(np.arange(R.shape[1]), columns)
+        self._rows = [triangular(R[:, np.concatenate([columns, keep])])[states.size :, states.size :]]
+        self._states -= states.size
+
     def told(self) -> tuple[FloatArray, FloatArray]:
         """Root (p, p) of the information on the pose without the map, and its scale (p,), in the chart."""
         return _last_block(self._triangle(), self._p), np.sqrt(self._squares)
