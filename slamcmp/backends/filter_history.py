@@ -1,4 +1,4 @@
-"""What a filter did to its error state, step by step: enough to smooth it and to judge its observability.
+"""What a filter did to its error state, step by step: enough to smooth it.
 
 The smoother is Rauch, Tung and Striebel's in the form of Bryson and Frazier (Bierman 1973): from the last
 frame backwards an adjoint vector and matrix collect what later innovations say,
@@ -130,35 +130,6 @@ class History:
         P = np.array(covariances[::-1]).reshape(-1, p, p)
         return frames[::-1], np.array(errors[::-1]).reshape(-1, p), 0.5 * (P + np.swapaxes(P, 1, 2))
 
-    def observability_matrix(self) -> FloatArray:
-        """Every observation's whitened H carried back to the first frame, (rows, states).
-
-        A landmark's first observation counts too: it is the row [-G, I] of the states it adds. The null
-        space holds what the filter believes it cannot see (Huang, Mourikis, Roumeliotis 2010, eq. 11); for
-        a correct planar estimator its dimension is 3, in space 6.
-        """
-        p, n = self.p, self.n
-        states = p + sum(event.G.shape[0] for event in self.events if isinstance(event, Growth))
-        carried = np.eye(p, states)
-        unknowns = p
-        blocks: list[FloatArray] = []
-        for event in self.events:
-            if isinstance(event, Step):
-                if event.F is not None:
-                    carried[:p] = event.F @ carried[:p]
-                if event.D is not None:
-                    carried[p:] = (event.D @ carried[p:].reshape(-1, n, states)).reshape(-1, states)
-            elif isinstance(event, Correction):
-                blocks.append(event.H @ carried[event.touched])
-            elif isinstance(event, Remap):
-                carried = event.M @ carried
-            elif isinstance(event, Growth):
-                added = np.eye(len(event.G), states, unknowns)
-                unknowns += len(event.G)
-                blocks.append(added - event.G @ carried[:p])
-                carried = np.concatenate([carried, added])
-        return np.concatenate(blocks) if blocks else np.empty((0, states))
-
     def _unstep(self, step: Step, lam: FloatArray, Lam: FloatArray) -> None:
         p, n = self.p, self.n
         if step.F is not None:
@@ -170,16 +141,6 @@ class History:
             lam[p:] = (lam[p:].reshape(-1, n) @ step.D).ravel()
             Lam[p:] = (step.D.T @ Lam[p:].reshape(-1, n, size)).reshape(-1, size)
             Lam[:, p:] = (Lam[:, p:].reshape(size, -1, n) @ step.D).reshape(size, -1)
-
-
-def nullity(matrix: FloatArray, *, relative_tolerance: float = 1e-9) -> int:
-    """Dimension of the null space: columns less singular values above a share of the largest."""
-    columns: int = matrix.shape[1]
-    if matrix.shape[0] == 0:
-        return columns
-    sizes = np.linalg.svd(matrix, compute_uv=False)
-    rank = int(np.count_nonzero(sizes > relative_tolerance * sizes[0]))
-    return columns - rank
 
 
 def _uncorrect(event: Correction, lam: FloatArray, Lam: FloatArray) -> None:

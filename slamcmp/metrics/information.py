@@ -6,15 +6,43 @@ for poses and world axes for landmarks (see :func:`posterior_difference`).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import heading, local, log, rotation, translation
-from slamcmp.types import IntArray, Landmarks
+from slamcmp.metrics.observability import last_value
+from slamcmp.registry import metrics
+from slamcmp.types import GroundTruth, IntArray, Landmarks, Run
 
 FloatArray = NDArray[np.float64]
+
+KL = "kl_from_batch"
+"""Per-frame series of a run [nat]: its posterior's divergence from the batch solution's at the same frame."""
+
+_RECORDED: dict[str, Any] = {
+    "unit": "nat",
+    "needs": frozenset({"diagnostics"}),
+    "scope": "run",
+    "lower_is_better": True,
+}
+
+
+@metrics.register(KL, header="KL from batch, last frame", **_RECORDED)
+def last_kl(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
+    """KL divergence of the last pose-and-map posterior from the batch solution's; 0 is the same belief."""
+    return last_value(run, KL)
+
+
+@metrics.register("kl_from_batch_median", header="KL from batch, median", **_RECORDED)
+def median_kl(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
+    """Median over the compared frames of the KL divergence from the batch solution at the same frame."""
+    values = run.diagnostics.get(KL, np.empty(0))
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if values.size else float("nan")
 
 
 def kl_divergence(
@@ -42,16 +70,6 @@ def kl_divergence(
     squares = diagonal**2
     spread = float((squares - 1.0 - np.log(squares)).sum()) + off_diagonal
     return 0.5 * (spread + float(offset @ offset))
-
-
-def mahalanobis(difference: FloatArray, covariance: FloatArray) -> float:
-    """``d^T P^-1 d`` of (s,) and (s, s).
-
-    Raises:
-        DataError: the covariance is not positive definite.
-    """
-    solved: FloatArray = cho_solve((_factor(covariance, "covariance"), True), difference)
-    return float(difference @ solved)
 
 
 def posterior_difference(

@@ -12,7 +12,6 @@ from slamcmp.errors import DataError
 from slamcmp.metrics.information import (
     kl_divergence,
     landmark_drift,
-    mahalanobis,
     pose_drift,
     posterior_difference,
     posterior_kl,
@@ -64,10 +63,6 @@ def test_overconfidence_costs_more_than_caution() -> None:
 def test_an_indefinite_covariance_is_named() -> None:
     with pytest.raises(DataError, match="reference: a covariance is not positive definite"):
         kl_divergence(np.zeros(2), np.eye(2), np.zeros(2), np.diag([1.0, -1.0]))
-
-
-def test_mahalanobis_by_hand() -> None:
-    assert mahalanobis(np.array([3.0, 4.0]), np.diag([9.0, 4.0])) == pytest.approx(5.0)
 
 
 def test_posteriors_are_compared_on_the_landmarks_they_share() -> None:

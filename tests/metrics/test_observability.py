@@ -1,110 +1,89 @@
-"""Nullity and false information on systems whose answers are known."""
+"""Nullity and information of roots whose answers are known, and the last values of series."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
-from slamcmp import geometry
-from slamcmp.metrics.observability import (
-    information_along,
-    nullity_over_time,
-    observability_matrix,
-    observability_nullity,
-    observability_rank,
-    rigid_motions_planar,
-    rigid_motions_spatial,
-)
-from slamcmp.models.sensors import RelativePosition
-
-Blocks = list[tuple[np.ndarray, np.ndarray]]
+from slamcmp.metrics import metric_columns, score_run
+from slamcmp.metrics.observability import last_value, nullity, unanchored_information
+from slamcmp.types import Run, Trajectory
 
 
-def test_matrix_of_a_constant_velocity_model() -> None:
-    """Position seen, F = [[1, 1], [0, 1]]: rows (1, k); one frame sees one direction, two see both."""
-    F, H = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[1.0, 0.0]])
-    blocks = [(np.eye(2), H), (F, H), (F, H)]
-    np.testing.assert_array_equal(observability_matrix(blocks), [[1, 0], [1, 1], [1, 2]])
-    assert observability_nullity(blocks[:1]) == 1
-    assert observability_rank(blocks) == 2
-    assert nullity_over_time(blocks).tolist() == [1, 0, 0]
+def test_nullity_counts_directions_below_the_jacobians_size() -> None:
+    """Column sizes 100 and 1e-3 (metres and radians): only the share of each counts."""
+    scale = np.array([100.0, 100.0, 1e-3])
+    assert nullity(np.zeros((3, 3)), scale) == 3
+    assert nullity(np.diag([1e-6, 1e-6, 1e-7]), scale) == 2
+    assert nullity(np.diag([1e-2, 1e-6, 1e-7]), scale) == 1
+    assert nullity(np.diag([1e-2, 1.0, 1e-7]), scale) == 0
 
 
-def test_frames_without_sightings_see_nothing() -> None:
-    nothing = (np.eye(4), np.empty((0, 4)))
-    assert observability_nullity([nothing, nothing]) == 4
-    assert nullity_over_time([nothing, (np.eye(4), np.eye(4)[:1])]).tolist() == [4, 3]
+def test_a_direction_may_be_a_mixture() -> None:
+    """Knowing x + y alone leaves two directions; a third row that repeats it changes nothing."""
+    root = np.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
+    assert nullity(root, np.ones(3)) == 2
 
 
-def slam_blocks(n: int, wobble: float) -> tuple[Blocks, np.ndarray]:
-    """Blocks of SLAM in the body tangent along a drive, Jacobians at the truth or, each by itself, beside it.
-
-    Also the rigid motions of the world at the first frame.
-    """
-    rng = np.random.default_rng(n)
-    sensor = RelativePosition(space_dim=n)
-    world = rng.uniform(-5, 5, (4, n))
-    p = 3 if n == 2 else 6
-    step = geometry.exp(0.2 + 0.3 * rng.random(p))
-    T = geometry.exp(rng.normal(size=p))
-    motions = (rigid_motions_planar if n == 2 else rigid_motions_spatial)(T, world)
-    blocks: Blocks = []
-    for k in range(6):
-        F = np.eye(p + world.size)
-        if k:
-            F[:p, :p] = geometry.adjoint(geometry.inverse(step))
-            T = T @ step
-        seen = np.array([k % 4, (k + 1) % 4])
-        at = geometry.retract(T, wobble * rng.normal(size=p))
-        H_pose, H_land = sensor.jacobians(at, world[seen] + wobble * rng.normal(size=(2, n)))
-        H = np.zeros((2 * n, F.shape[0]))
-        H[:, :p] = H_pose.reshape(2 * n, p)
-        for i, landmark in enumerate(seen):
-            H[i * n : (i + 1) * n, p + n * landmark : p + n * (landmark + 1)] = H_land[i]
-        blocks.append((F, H))
-    return blocks, motions
+def test_a_pose_that_no_jacobian_holds_is_unobservable() -> None:
+    assert nullity(np.zeros((3, 3)), np.zeros(3)) == 3
 
 
-@pytest.mark.parametrize(("n", "unobservable"), [(2, 3), (3, 6)])
-def test_slam_cannot_see_rigid_motions_of_the_world(n: int, unobservable: int) -> None:
-    """FACTS, oracle identity 10: nullity 3 in the plane (6 in space) with Jacobians at the truth."""
-    blocks, motions = slam_blocks(n, 0.0)
-    assert observability_nullity(blocks) == unobservable
-    assert nullity_over_time(blocks)[-1] == unobservable
-    np.testing.assert_allclose(observability_matrix(blocks) @ motions, 0, atol=1e-12)
-    noise = [0.01 * np.eye(2 * n)] * 6
-    np.testing.assert_allclose(information_along(blocks, noise, motions), 0, atol=1e-20)
+def test_information_by_hand() -> None:
+    """|R v|² of unit turns and shifts: planar (x, y, theta), spatial (omega, v)."""
+    assert unanchored_information(np.diag([1.0, 2.0, 3.0])) == (9.0, 5.0)
+    root = np.zeros((6, 6))
+    root[0, :] = [1.0, 2.0, 2.0, 0.0, 3.0, 4.0]
+    assert unanchored_information(root) == (9.0, 25.0)
 
 
-@pytest.mark.parametrize("n", [2, 3])
-def test_jacobians_at_wandering_points_see_what_they_cannot(n: int) -> None:
-    blocks, motions = slam_blocks(n, 0.1)
-    assert observability_nullity(blocks) < (3 if n == 2 else 6)
-    gained = information_along(blocks, [0.01 * np.eye(2 * n)] * 6, motions).sum(axis=0)
-    turns = slice(2, 3) if n == 2 else slice(0, 3)
-    assert (gained[turns] > 1.0).all()
+def a_run(**series: list[float]) -> Run:
+    t = np.arange(4.0)
+    return Run(
+        back_end="ekf",
+        parameters={},
+        digest="0",
+        seed=0,
+        frames=4,
+        status="ok",
+        message="",
+        online=Trajectory(t, np.tile(np.eye(3), (4, 1, 1))),
+        update_s=np.full(4, math.nan),
+        estimate_s=np.full(4, math.nan),
+        diagnostics={name: np.array(values) for name, values in series.items()},
+    )
 
 
-def test_information_is_summed_in_the_units_of_the_noise() -> None:
-    """H = 2, sigma² = 4, F = 3: the direction grows threefold a frame, information is 1, 9, 81."""
-    blocks = [(np.eye(1), 2 * np.eye(1)), (3 * np.eye(1), 2 * np.eye(1)), (3 * np.eye(1), 2 * np.eye(1))]
-    gained = information_along(blocks, [4 * np.eye(1)] * 3, np.eye(1))
-    np.testing.assert_allclose(gained[:, 0], [1.0, 9.0, 81.0])
+def test_scores_of_a_run_are_the_last_values_of_its_series() -> None:
+    nan = math.nan
+    run = a_run(
+        nullity=[nan, 3, nan, 2],
+        spurious_turn_per_rad2=[nan, 0.5, 7.0, nan],
+        spurious_shift_per_m2=[nan, 0.0, 0.0, nan],
+        drift_landmarks_m=[0.1, nan, 0.3, 0.2],
+        kl_from_batch=[nan, 4.0, 1.0, 3.0],
+    )
+    scores = score_run(run, None)
+    assert scores["nullity"] == 2
+    assert scores["spurious_turn_per_rad2"] == 7.0
+    assert scores["spurious_shift_per_m2"] == 0.0
+    assert scores["linearisation_drift"] == pytest.approx(0.2)
+    assert (scores["kl_from_batch"], scores["kl_from_batch_median"]) == (3.0, 3.0)
+    # A run that records tells no times, not times of zero.
+    assert math.isnan(scores["update_s"])
+    assert math.isnan(scores["update_median_ms"])
 
 
-@pytest.mark.parametrize("n", [2, 3])
-def test_rigid_motions_are_central_differences_of_moving_the_world(n: int) -> None:
-    rng = np.random.default_rng(1)
-    p = 3 if n == 2 else 6
-    T, points = geometry.exp(rng.normal(size=p)), rng.normal(size=(3, n))
-    h = 1e-6
+def test_a_run_that_recorded_nothing_has_no_such_scores() -> None:
+    scores = score_run(a_run(), None)
+    assert math.isnan(last_value(a_run(nullity=[math.nan] * 4), "nullity"))
+    for name in ("nullity", "spurious_turn_per_rad2", "linearisation_drift", "kl_from_batch"):
+        assert math.isnan(scores[name])
 
-    def moved(xi: np.ndarray) -> np.ndarray:
-        G = geometry.exp(xi)
-        return np.concatenate(
-            [geometry.local(T, G @ T), geometry.transform(G, points).ravel() - points.ravel()]
-        )
 
-    expected = np.stack([(moved(h * unit) - moved(-h * unit)) / (2 * h) for unit in np.eye(p)], axis=1)
-    ours = (rigid_motions_planar if n == 2 else rigid_motions_spatial)(T, points)
-    np.testing.assert_allclose(ours, expected, atol=1e-8)
+def test_units() -> None:
+    columns = metric_columns()
+    names = ("spurious_turn_per_rad2", "spurious_shift_per_m2", "linearisation_drift", "kl_from_batch")
+    assert [columns[name].unit for name in names] == ["1/rad²", "1/m²", "m", "nat"]
