@@ -97,7 +97,7 @@ def test_nullity_is_that_of_the_observability_matrix(filter_class: Any, space_di
 
 @pytest.mark.parametrize("space_dim", [2, 3])
 def test_equal_estimators_tell_the_same(space_dim: int) -> None:
-    """Window 1 with one iteration and frozen windows of any length are the EKF, window 1 iterated the IEKF."""
+    """Window 1 with one iteration and frozen windows are the EKF, window 1 iterated the iterated EKF."""
     stream, _ = world_of(space_dim)
     problem = stream.problem
     ekf = information(told(EkfSlam(problem), stream))
