@@ -17,6 +17,7 @@ from slamcmp.experiment.config_checks import Checker
 from slamcmp.experiment.config_errors import ConfigErrors
 from slamcmp.experiment.published import Published, check_published, published_keys
 from slamcmp.experiment.stop_rule import StopRule
+from slamcmp.experiment.study import Study
 from slamcmp.experiment.yaml_source import KeyPath, YamlSource, load_yaml
 from slamcmp.registry import did_you_mean
 
@@ -58,6 +59,7 @@ class ExperimentFields(BaseModel):
     memory_limit_mb: float | None = Field(
         None, gt=0, description="Memory one job may take; default: its share of the machine's"
     )
+    study: Study | None = Field(None, description="What to record besides; runs that record tell no times")
     figures: list[str] | None = Field(None, description="Names of figures; default: all that apply")
     published: Published | None = Field(
         None, description="Numbers from a publication; the results are shown beside them, with a verdict"
@@ -80,6 +82,7 @@ class Experiment:
     time_limit_s: float = 600.0
     stream_time_limit_s: float = 3600.0
     memory_limit_mb: float | None = None
+    study: Study | None = None
     figures: tuple[str, ...] | None = None
     published: Published | None = None
     question: str = ""
@@ -125,6 +128,7 @@ class Experiment:
             "time_limit_s": self.time_limit_s,
             "stream_time_limit_s": self.stream_time_limit_s,
             "memory_limit_mb": self.memory_limit_mb,
+            "study": None if self.study is None else self.study.model_dump(),
             "figures": None if self.figures is None else list(self.figures),
             "published": None if self.published is None else self.published.model_dump(),
         }
@@ -147,7 +151,11 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
     try:
         fields = ExperimentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
     except ValidationError as error:
-        known: dict[KeyPath, Any] = {(): ExperimentFields.model_fields, ("until",): StopRule.model_fields}
+        known: dict[KeyPath, Any] = {
+            (): ExperimentFields.model_fields,
+            ("until",): StopRule.model_fields,
+            ("study",): Study.model_fields,
+        }
         errors.add_pydantic(error.errors(), (), known | published_keys(error.errors()))
         # The sections that have the right shape are checked all the same: every mistake at once.
         wrong = {details["loc"][0] for details in error.errors()}
@@ -164,6 +172,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
                 "seeds": 1,
                 "until": None,
                 "published": None,
+                "study": None,
                 **good,
             }
         )
@@ -187,6 +196,9 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
             ("reference",),
             f"no back end has the label {fields.reference!r}{did_you_mean(fields.reference, labels)}",
         )
+    study = None if fields.study is None else Study.model_validate(fields.study)
+    if study is not None and None not in chosen:
+        checker.study(study, labels)
     if fields.figures is not None:
         checker.figures(fields.figures)
     published = None if fields.published is None else Published.model_validate(fields.published)
@@ -207,6 +219,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         time_limit_s=fields.time_limit_s,
         stream_time_limit_s=fields.stream_time_limit_s,
         memory_limit_mb=fields.memory_limit_mb,
+        study=study,
         figures=None if fields.figures is None else tuple(fields.figures),
         published=published,
         question=fields.question,

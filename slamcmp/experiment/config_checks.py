@@ -16,6 +16,7 @@ from slamcmp.experiment.choice import OWN_GATE, REGISTRIES, Choice, swept_target
 from slamcmp.experiment.config_errors import ConfigErrors
 from slamcmp.experiment.plugin_models import check_parameters, parameter_model
 from slamcmp.experiment.stop_rule import StopRule
+from slamcmp.experiment.study import Study
 from slamcmp.experiment.yaml_source import KeyPath
 from slamcmp.registry import Plugin, back_ends, did_you_mean, figures
 
@@ -189,6 +190,12 @@ class Checker:
             )
         if rule.of == "difference" and back_ends < 2:
             self._errors.add(("until", "of"), "until: a difference needs at least two back ends")
+
+    def study(self, study: Study, labels: Sequence[str]) -> None:
+        label = study.divergence_from
+        if label is not None and label not in labels:
+            what = f"study: no back end has the label {label!r}{did_you_mean(label, labels)}"
+            self._errors.add(("study", "divergence_from"), what)
 
     def figures(self, names: Sequence[str]) -> None:
         for index, name in enumerate(names):

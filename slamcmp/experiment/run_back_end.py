@@ -16,6 +16,7 @@ from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Select
 from slamcmp.types import (
     TANGENT_DIM,
     BoolArray,
+    Estimate,
     FloatArray,
     Frame,
     Landmarks,
@@ -25,6 +26,8 @@ from slamcmp.types import (
     Status,
     Trajectory,
 )
+
+AfterFrame = Callable[[int, BackEnd, Estimate], Mapping[str, float]]
 
 CHECK_EVERY = 128
 """Frames between two looks at what was collected: a run that diverged stops at most this much later."""
@@ -44,6 +47,7 @@ def run_back_end(
     time_limit_s: float = float("inf"),
     heartbeat: MutableSequence[float] | None = None,
     on_frames_done: Callable[[Run], None] | None = None,
+    after_frame: AfterFrame | None = None,
 ) -> Run:
     """Feed every frame to a new back end and keep all it says.
 
@@ -51,7 +55,8 @@ def run_back_end(
     before it are kept. ``make`` gets the problem and nothing else; the back end never sees truth.
     ``heartbeat[0]`` is set to the monotonic time [s] of the start, ``heartbeat[1]`` to the frames done,
     ``heartbeat[2]`` to the time when all of them were. ``on_frames_done`` then gets the online part, before
-    the back end is asked for anything more.
+    the back end is asked for anything more. ``after_frame`` is called between frames, and what it answers
+    becomes series of the run; such a run tells neither times nor memory, for both are disturbed.
     """
     collected = _Collected(stream)
     beat = [0.0, 0.0, 0.0] if heartbeat is None else heartbeat
@@ -62,7 +67,7 @@ def run_back_end(
     def feed() -> str:
         nonlocal back_end
         back_end = make(stream.problem)
-        return _feed(back_end, stream, collected, time.perf_counter() + time_limit_s, beat)
+        return _feed(back_end, stream, collected, time.perf_counter() + time_limit_s, beat, after_frame)
 
     def run(hindsight: Mapping[str, Any]) -> Run:
         return Run(
@@ -75,7 +80,7 @@ def run_back_end(
             message=message,
             **collected.fields(),
             **hindsight,
-            peak_memory_mb=memory.growth_mb(),
+            peak_memory_mb=memory.growth_mb() if after_frame is None else float("nan"),
         )
 
     hindsight: dict[str, Any] = {}
@@ -96,6 +101,8 @@ def run_back_end(
         if fault:
             status, message = "diverged", fault
             hindsight = {"final_s": hindsight.get("final_s", 0.0)}
+        if after_frame is not None and "final_s" in hindsight:
+            hindsight["final_s"] = float("nan")
     return run(hindsight)
 
 
@@ -120,6 +127,7 @@ def _feed(
     collected: _Collected,
     deadline: float,
     beat: MutableSequence[float],
+    after_frame: AfterFrame | None,
 ) -> str:
     """The loop. Answers with the message of a time-out, or with nothing."""
     clock = time.perf_counter
@@ -138,8 +146,12 @@ def _feed(
         after = clock()
         poses[k] = answer.T_world_body
         covariances[k] = answer.P
-        update_s[k] = between - before
-        estimate_s[k] = after - between
+        if after_frame is None:
+            update_s[k] = between - before
+            estimate_s[k] = after - between
+        else:
+            update_s[k] = estimate_s[k] = np.nan
+            collected.note(k, after_frame(k, back_end, answer))
         if diagnostics is not None:
             collected.note(k, diagnostics())
         if collected.kept is not None:

@@ -314,6 +314,7 @@ class _Schedule:
                 digest=digest,
                 time_limit_s=job.time_limit_s,
                 memory_limit_mb=self._memory_limit_mb,
+                study=job.study,
                 own_gate=job.back_end.own_gate,
             )
         try:

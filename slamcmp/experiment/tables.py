@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ import pandas as pd
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.choice import Choice
 from slamcmp.experiment.inspection import FINDINGS, Inspector
+from slamcmp.experiment.posteriors import kl_series, load_posteriors
 from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
-from slamcmp.experiment.trials import Trial
-from slamcmp.experiment.worker import run_path, stream_path, truth_path
+from slamcmp.experiment.trials import RunJob, Trial
+from slamcmp.experiment.worker import posteriors_path, run_path, stream_path, truth_path
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
+from slamcmp.metrics.information import KL, last_kl, median_kl
 from slamcmp.types import GroundTruth
 
 KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")
@@ -45,8 +48,9 @@ def gather(
             ]
             continue
         known = load_truth(truth_path(folder, trial.stream.key))
+        divergences = _Divergences(trial, folder)
         stored = [
-            (job.back_end, relabelled(run, job.back_end.label))
+            (job.back_end, divergences.added(job, relabelled(run, job.back_end.label)))
             for job in trial.runs
             if (run := load_run(run_path(folder, job.key))) is not None
         ]
@@ -55,11 +59,13 @@ def gather(
         _require_one_stream(trial, known, [run for _, run in stored])
         truth, name = trial_truth(known, [run for _, run in stored], reference)
         borrowed = truth is not None and known.truth is None
+        study = trial.runs[0].study
+        recorded = {} if study is None else {"study": study.describe()}
         inspector = Inspector(stream_path(folder, known.digest), truth, borrowed)
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest, kinds)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
-            rows.append({**keys, **scores, **_outcome(run, name), **inspector.findings(run.run)})
+            rows.append({**keys, **scores, **_outcome(run, name), **inspector.findings(run.run), **recorded})
             of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
             of_landmarks = landmark_table(run.run, truth, reference=borrowed)
             for tables, table in ((frames, of_frames), (landmarks, of_landmarks)):
@@ -71,6 +77,32 @@ def gather(
         _joined(frames, trials),
         _joined(landmarks, trials),
     )
+
+
+class _Divergences:
+    """Compares the posteriors that a trial's runs kept with those of its batch solution."""
+
+    def __init__(self, trial: Trial, folder: Path) -> None:
+        self._folder = folder
+        named = {job.study.divergence_from for job in trial.runs if job.study is not None}
+        self._reference = [
+            posterior
+            for job in trial.runs
+            if job.back_end.label in named
+            for posterior in load_posteriors(posteriors_path(folder, job.key))
+        ]
+
+    def added(self, job: RunJob, stored: StoredRun) -> StoredRun:
+        """The run with its divergence as a series and as scores."""
+        if not self._reference:
+            return stored
+        own = load_posteriors(posteriors_path(self._folder, job.key))
+        run = stored.run
+        series = kl_series(own, self._reference, run.online.t.size)
+        run = replace(run, diagnostics={**run.diagnostics, KL: series})
+        return replace(
+            stored, run=run, scores={**stored.scores, KL: last_kl(run), f"{KL}_median": median_kl(run)}
+        )
 
 
 def trial_truth(

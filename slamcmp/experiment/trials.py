@@ -9,6 +9,7 @@ from typing import Any
 from slamcmp.experiment.choice import Choice, swept_target
 from slamcmp.experiment.config import Experiment, grid
 from slamcmp.experiment.content_key import run_key, stream_key
+from slamcmp.experiment.study import Study
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class RunJob:
     seed: int | None
     time_limit_s: float
     memory_limit_mb: float | None
+    study: Study | None = None
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,11 @@ def make_trials(experiment: Experiment) -> list[Trial]:
         for seed in experiment.seeds:
             stream = StreamJob(stream_key(source, front_end, seed), source, front_end, seed)
             limits = experiment.time_limit_s, experiment.memory_limit_mb
+            study = experiment.study
+            recording = None if study is None else study.recording()
             runs = tuple(
-                RunJob(run_key(stream.key, choice, *limits), stream.key, choice, seed, *limits)
-                for choice in back_ends
+                RunJob(run_key(stream.key, each, *limits, recording), stream.key, each, seed, *limits, study)
+                for each in back_ends
             )
             trials.append(Trial(len(trials), seed, swept, stream, runs))
     return trials

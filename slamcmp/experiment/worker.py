@@ -14,8 +14,11 @@ from typing import Any
 from slamcmp.backends.own_gate import OwnGate
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.plugin_models import bind_parameters
+from slamcmp.experiment.posteriors import save_posteriors
 from slamcmp.experiment.run_back_end import describe, run_back_end
 from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_truth, save_run, save_truth
+from slamcmp.experiment.study import Study
+from slamcmp.experiment.watch import Watch
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import score_run
 from slamcmp.protocols import BackEnd
@@ -41,6 +44,8 @@ class Task:
     """Of the stream that a run reads."""
     time_limit_s: float = float("inf")
     memory_limit_mb: float | None = None
+    study: Study | None = None
+    """What to record besides."""
     own_gate: float | None = None
     """Probability of a gate by the back end's own covariance."""
 
@@ -58,6 +63,11 @@ class Task:
 def run_path(folder: Path, key: str) -> Path:
     """Where the run of that key lies."""
     return folder / "runs" / f"{key}.npz"
+
+
+def posteriors_path(folder: Path, key: str) -> Path:
+    """Where the posteriors that the run of that key kept lie, if it kept any."""
+    return folder / "runs" / f"{key}.posteriors.npz"
 
 
 def stream_path(folder: Path, digest: str) -> Path:
@@ -137,8 +147,14 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
     ((spec, parameters),) = task.plugins
     plugin = back_ends.get(spec)
     bound = bind_parameters(plugin, dict(parameters))
+    watch = None if task.study is None else Watch(task.study, len(stream.frames))
+
+    def make(problem: Problem) -> BackEnd:
+        made = _make_back_end(plugin, problem, bound, task)
+        return made if watch is None else watch.begin(made)
+
     run = run_back_end(
-        lambda problem: _make_back_end(plugin, problem, bound, task),
+        make,
         stream,
         label=task.label,
         parameters=parameters,
@@ -146,7 +162,10 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
         time_limit_s=task.time_limit_s,
         heartbeat=heartbeat,
         on_frames_done=lambda online: save_run(StoredRun(online, {}, 1.0), task.online_part),
+        after_frame=None if watch is None else watch.after_frame,
     )
+    if watch is not None and watch.posteriors:
+        save_posteriors(watch.posteriors, posteriors_path(task.folder, task.key))
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
     save_run(scored(run, _truth(task)), task.result)
     task.online_part.unlink(missing_ok=True)
