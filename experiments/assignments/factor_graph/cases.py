@@ -292,12 +292,25 @@ def heading_gained(functions, generator):
 def drive(functions, generator):
     states, problem, frames = simulate(generator, 30)
     handle = functions.construct("WindowOne", problem)
-    errors, covariances = [], []
-    for T, frame in zip(states, frames, strict=True):
+    poses, covariances = [], []
+    for frame in frames:
         told = functions.step(handle, frame).estimate
-        errors.append(local(told.T_world_body, T))
+        poses.append(told.T_world_body)
         covariances.append(told.P)
-    return Track(0.2 * np.arange(30.0), np.array(errors), np.array(covariances))
+    return track(states, np.array(poses), np.array(covariances))
+
+
+def drive_smoothed(functions, generator):
+    """Every pose of a drive with hindsight."""
+    states, problem, frames = simulate(generator, 20, sight=3)
+    poses, _, _ = functions.call("smooth", *graph_of(problem, frames), 5)
+    return track(states, np.reshape(poses, states.shape), None)
+
+
+def track(states, poses, covariances):
+    t = 0.2 * np.arange(len(states))
+    paths = {"path": poses[:, :2, 2], "true_path": states[:, :2, 2]}
+    return Track(t, local(poses, states), covariances, **paths)
 
 
 def long_drive(functions, generator):
