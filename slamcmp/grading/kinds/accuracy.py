@@ -72,7 +72,7 @@ def _path_plot(own: Track, best: Track) -> tuple[Plot, ...]:
     series = tuple(
         Series(name, _finite(path[:, 1]), role, x=_finite(path[:, 0])) for name, path, role in paths
     )
-    caption = "Where the robot was, and where the two filters take it to be."
+    caption = "Where the robot was, and where the two estimates put it."
     return (Plot("Path of the worst run", "x [m]", "y [m]", (), series, caption, equal_scales=True),)
 
 
