@@ -15,6 +15,7 @@ from slamcmp.metrics.consistency import average_band
 from slamcmp.report.certainty import last_frame_nees, runs_by_point
 from slamcmp.report.selection import (
     has_values,
+    labels,
     point_name,
     reference_name,
     swept_columns,
@@ -50,9 +51,11 @@ def cautions(results: Results) -> list[Caution]:
     found = [
         _warnings(results),
         _failed(results),
+        _own_gates(results),
         _healthy_but_far(results),
         _borrowed_online_column(results),
         _few_runs(results),
+        _no_times(results),
         _shared_machine(results),
         _unequal_streams(results),
     ]
@@ -111,6 +114,26 @@ def _failed(results: Results) -> Caution | None:
         f"{len(failed)} of {len(results.trials)} runs are not ok",
         f"{'; '.join(parts)}. They are in no median; the remaining runs may be the easier ones.",
     )
+
+
+def _own_gates(results: Results) -> Caution | None:
+    """The same stream, but not the same observations of it."""
+    if not has_values(results.trials, ["own_gate"]):
+        return None
+    gates = {
+        label: results.trials.loc[results.trials["label"] == label, "own_gate"] for label in labels(results)
+    }
+    gated = [label for label, found in gates.items() if found.notna().any()]
+    plain = [label for label, found in gates.items() if found.isna().any()]
+    text = (
+        f"{', '.join(gated)}: each dropped, of the same stream, what its own covariance did not expect, so "
+        "that rows with the same digest rest on different observations. A difference between them is that "
+        "of estimator and gate together. NIS is taken over what passed and looks healthy whatever was "
+        "dropped; times of updates include the gate."
+    )
+    if plain:
+        text += f" Used every observation: {', '.join(plain)}."
+    return Caution("Back ends chose their own observations", text)
 
 
 def _healthy_but_far(results: Results) -> Caution | None:
@@ -218,10 +241,22 @@ def _borrowed_online_column(results: Results) -> Caution | None:
     )
 
 
+def _no_times(results: Results) -> Caution | None:
+    """Recording costs time between and inside the frames."""
+    if not results.manifest.get("config", {}).get("study"):
+        return None
+    return Caution(
+        "No times were taken",
+        "This experiment has a study: each back end also records what its linear system claims, or its whole "
+        "posterior. That takes time and memory of its own, so neither is told. To compare times, run it "
+        "without.",
+    )
+
+
 def _shared_machine(results: Results) -> Caution | None:
     """Jobs side by side disturb each other's times; errors and covariances they leave alone."""
     jobs = results.manifest.get("jobs") or 1
-    if jobs < 2:
+    if jobs < 2 or results.manifest.get("config", {}).get("study"):
         return None
     return Caution(
         f"Times were measured with {jobs} jobs side by side",
