@@ -213,11 +213,16 @@ def _trial_rows(results: Results) -> list[list[Cell]]:
                 Cell(status, status, status="ok" if status == "ok" else "bad"),
                 Cell(f"{100 * row['completion']:.0f} %", repr(float(row["completion"])), True),
                 cell(str(row["message"] or "")),
-                Cell(digest[:12], digest, title=digest),
+                Cell(digest[:12], digest, title=digest, note=_gate_note(row.get("own_gate"))),
                 *(cell(row[name]) for name in metrics),
             ]
         )
     return rows
+
+
+def _gate_note(gate: float | None) -> str:
+    """Empty for a run that used the stream as it is."""
+    return "" if gate is None or np.isnan(gate) else f"own gate {gate:g}"
 
 
 def _facts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -29,6 +29,8 @@ RUN_METRICS = (
     "joint_nees_per_dof",
     "nis_per_dof",
     "chi2_per_dof",
+    "gate_recall",
+    "gate_precision",
     "update_median_ms",
     "update_p95_ms",
     "update_s",
@@ -63,9 +65,11 @@ def summary_table(results: Results) -> pd.DataFrame:
     """One row per grid point and back end: counts of runs, then medians over the runs that are ok.
 
     Every error column says whether it scores the online or the final trajectory; ``failed`` names the
-    statuses of the runs that are in no median.
+    statuses of the runs that are in no median; ``own gate``, where there is any, says which rows chose their
+    observations by a gate of their own.
     """
     columns = summary_columns(results)
+    gated = has_values(results.trials, ["own_gate"])
     rows: list[dict[str, Any]] = []
     for point, label, own in runs_by_point(results):
         ok = own[own["status"] == "ok"]
@@ -74,6 +78,7 @@ def summary_table(results: Results) -> pd.DataFrame:
             {
                 "back end": label,
                 **point,
+                **({"own gate": gate_text(own)} if gated else {}),
                 "runs": len(own),
                 "ok": len(ok),
                 "failed": ", ".join(failed),
@@ -82,6 +87,12 @@ def summary_table(results: Results) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
+
+
+def gate_text(runs: pd.DataFrame) -> str:
+    """The probability of these runs' own gate, or ``none``."""
+    found = runs["own_gate"].dropna()
+    return "none" if found.empty else ", ".join(f"{value:g}" for value in found.unique())
 
 
 def summary_intervals(results: Results) -> list[dict[str, Interval]]:
@@ -148,10 +159,11 @@ def paired_table(results: Results) -> pd.DataFrame:
     One row per grid point, trajectory and back end: pairs, median ratio and median difference with their
     intervals, pairs in which it was better, and the two-sided p values of the sign test and of Wilcoxon's
     signed-rank test (on the logarithm of the ratio) where there are enough pairs. The reference itself is
-    left out.
+    left out. Where a back end gates for itself, ``own gates`` says so of both sides.
     """
     rows: list[dict[str, Any]] = []
     swept = swept_columns(results.trials)
+    gated = has_values(results.trials, ["own_gate"])
     for point in grid_points(results.trials):
         here = at_point(results.trials, point)
         for which in ("online", "final"):
@@ -171,6 +183,7 @@ def paired_table(results: Results) -> pd.DataFrame:
                         "trajectory": which,
                         "back end": label,
                         "compared with": compared[0],
+                        **({"own gates": _gates(here, label, compared[0])} if gated else {}),
                         "pairs": len(pairs),
                         "median ATE ratio": float(ratio.median()),
                         "95 % of the ratio": interval_text(median_interval(ratio)),
@@ -182,6 +195,12 @@ def paired_table(results: Results) -> pd.DataFrame:
                     }
                 )
     return pd.DataFrame(rows)
+
+
+def _gates(rows: pd.DataFrame, label: str, other: str) -> str:
+    """``0.999 against none``."""
+    texts = [gate_text(rows[rows["label"] == each]) for each in (label, other)]
+    return " against ".join(texts)
 
 
 def _errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:

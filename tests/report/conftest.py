@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -164,6 +165,32 @@ def recorded(tmp_path: Any) -> Results:
     truth = circle()
     runs = [make_run("ekf", truth, 1, 1.0), make_run("batch", truth, 1, 1.0)]
     return tabulate([({}, reference_truth(runs[1]), "batch (final)", runs)], tmp_path)
+
+
+@pytest.fixture
+def gated(tmp_path: Any) -> Results:
+    """Six seeds; ``ekf`` and ``isam2`` gate for themselves, ``batch`` takes everything.
+
+    Of five observations a frame the last is an outlier that both gates catch; from frame 60 on the EKF loses
+    one of the four correct ones.
+    """
+    truth = replace(circle(), outliers=(np.array([False] * 4 + [True]),) * FRAMES)
+    kept = {
+        label: tuple(np.array([k < loses, True, True, True, False]) for k in range(FRAMES))
+        for label, loses in (("ekf", 60), ("isam2", FRAMES))
+    } | {"batch": None}
+    trials = [
+        (
+            {},
+            truth,
+            "truth",
+            [make_run(each, truth, seed, 1.0, kept_observations=kept[each]) for each in kept],
+        )
+        for seed in range(6)
+    ]
+    results = tabulate(trials, tmp_path)
+    gates = results.trials["label"].map({"ekf": 0.999, "isam2": 0.99})
+    return replace(results, trials=results.trials.assign(own_gate=gates))
 
 
 @pytest.fixture

@@ -200,7 +200,15 @@ def test_a_swept_name_gets_a_place_of_its_own(swept):
 def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_path):
     files = draw_figures(nothing_known, None, tmp_path / "figures", formats=("svg",))
     assert [path.name for path in files] == ["map.svg", "time.svg"]
-    assert set(files.skipped) == {"attribution", "budget", "consistency", "dial", "errors", "sweep"}
+    assert set(files.skipped) == {
+        "association",
+        "attribution",
+        "budget",
+        "consistency",
+        "dial",
+        "errors",
+        "sweep",
+    }
     assert "no truth" in files.skipped["errors"]
     assert files.skipped["sweep"] == "nothing was swept"
     with pytest.raises(NotDrawable, match="covariances"):
