@@ -98,9 +98,8 @@ def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: 
         return Calibration(camera, size, None, None, None)
     _require_known(path, data["right"], _RIGHT, "right.")
     T_left_right = _rigid(path, data, "right.T_left_right")
-    pair = rectify(lens, _lens(path, data, "right."), inverse(T_left_right), size)
-    if not pair.baseline_m > 0:
-        raise DataError(f"{path}: right.T_left_right puts the right camera to the left of the left one")
+    right = _lens(path, data, "right.")
+    pair = rectify(lens, right, inverse(T_left_right), size, source=f"{path}: right.T_left_right")
     turned = mounting @ pose(pair.R_left_new, np.zeros(3))
     camera = StereoCamera(**_intrinsics(pair.K), baseline_m=pair.baseline_m, T_body_camera=turned)
     return Calibration(camera, size, pair.left, pair.right, None)

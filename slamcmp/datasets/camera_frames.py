@@ -61,6 +61,7 @@ class RecordedFrames(Sequence[CameraFrame]):
     """None where the files are free of distortion already."""
     right_remap: Remap | None = None
     depth_format: DepthFormat | None = None
+    depth_remap: Remap | None = None
 
     def __len__(self) -> int:
         return len(self.files)
@@ -95,7 +96,7 @@ class RecordedFrames(Sequence[CameraFrame]):
             _remapped(image, self.left_remap),
             _remapped(right, self.right_remap),
             # Between a near and a far pixel there is no surface: the nearest value is kept.
-            _remapped(depth, self.left_remap, nearest=True),
+            _remapped(depth, self.depth_remap, nearest=True),
         )
 
     def subset(self, indices: Sequence[int]) -> RecordedFrames:

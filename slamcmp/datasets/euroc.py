@@ -53,6 +53,7 @@ def euroc(*, folder: str, camera: Literal["stereo", "mono"] = "stereo") -> Recor
     if camera == "mono":
         files = tuple(FrameFiles(path) for path in left.images)
         stamps = left.stamps
+        require_size(files, left.size, str(left.files[0]))
         K, remap = undistort(left.lens, left.size)
         model = MonoCamera(**_intrinsics(K), T_body_camera=left.T_body_camera)
         images = RecordedFrames(files, left.size, remap)
@@ -62,11 +63,12 @@ def euroc(*, folder: str, camera: Literal["stereo", "mono"] = "stereo") -> Recor
             raise DataError(f"{mav}: cam0 has {left.size} pixels and cam1 {right.size}; one size is needed")
         read += right.files
         stamps, files, warnings = _pairs(left, right)
-        pair = rectify(left.lens, right.lens, inverse(right.T_body_camera) @ left.T_body_camera, left.size)
+        require_size(files, left.size, str(left.files[0]))
+        T_right_left = inverse(right.T_body_camera) @ left.T_body_camera
+        pair = rectify(left.lens, right.lens, T_right_left, left.size, source=f"{mav}: T_BS of cam0 and cam1")
         mounting = left.T_body_camera @ pose(pair.R_left_new, np.zeros(3))
         model = StereoCamera(**_intrinsics(pair.K), baseline_m=pair.baseline_m, T_body_camera=mounting)
         images = RecordedFrames(files, left.size, pair.left, pair.right)
-    require_size(files, left.size, str(left.files[0]))
     require_fit(model, left.size, str(left.files[0]))
 
     # Nanoseconds since 1970 do not fit a float: the difference is taken in integers.

@@ -81,7 +81,14 @@ def image_folder(
     return Recording(
         root.resolve().name,
         t,
-        RecordedFrames(files, calibrated.size, calibrated.left, calibrated.right, calibrated.depth),
+        RecordedFrames(
+            files,
+            calibrated.size,
+            calibrated.left,
+            calibrated.right,
+            calibrated.depth,
+            calibrated.left if calibrated.depth else None,
+        ),
         camera,
         truth=trajectories[0],
         odometry=trajectories[1],

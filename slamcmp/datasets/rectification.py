@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.errors import DataError
+from slamcmp.geometry import inverse
+
 FloatArray = NDArray[np.float64]
 Size = tuple[int, int]
 
@@ -65,12 +68,31 @@ def undistort(lens: Lens, size: Size) -> tuple[FloatArray, Remap | None]:
     return np.asarray(K), _remap(lens, np.eye(3), np.asarray(K), size)
 
 
-def rectify(left: Lens, right: Lens, T_right_left: FloatArray, size: Size) -> RectifiedPair:
+def refocus(K_old: FloatArray, K_new: FloatArray, size: Size) -> Remap:
+    """The look-up from a pinhole's image to that of another pinhole at the same place, both of ``size``."""
+    u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    x = (u - K_new[0, 2]) * K_old[0, 0] / K_new[0, 0] + K_old[0, 2]
+    y = (v - K_new[1, 2]) * K_old[1, 1] / K_new[1, 1] + K_old[1, 2]
+    return Remap(x.astype(np.float32), y.astype(np.float32))
+
+
+def rectify(left: Lens, right: Lens, T_right_left: FloatArray, size: Size, *, source: str) -> RectifiedPair:
     """Turn both cameras so that a point stands on the same row in both (Bouguet's method).
 
-    ``T_right_left`` (4, 4) maps points of the left camera's frame to the right one's.
+    ``T_right_left`` (4, 4) maps points of the left camera's frame to the right one's; ``source`` names its
+    file.
+
+    Raises:
+        DataError: the right camera does not stand to the right of the left one.
     """
     import cv2
+
+    x, y, z = inverse(T_right_left)[:3, 3]
+    if not x > np.hypot(y, z):
+        raise DataError(
+            f"{source}: the right camera stands at ({x:.3g}, {y:.3g}, {z:.3g}) m in the left one's frame (x "
+            "right, y down, z forward); it must stand to the right"
+        )
 
     R_left, R_right, P_left, P_right, *_ = cv2.stereoRectify(
         left.K,

@@ -69,7 +69,8 @@ def tum_rgbd(
     if poses.is_file():
         read.append(poses)
         truth = poses_at(t, *read_tum_trajectory(poses)) @ inverse(FORWARD_CAMERA)
-    images = RecordedFrames(files, SIZE, remap, depth_format=DEPTH if with_depth else None)
+    depth = DEPTH if with_depth else None
+    images = RecordedFrames(files, SIZE, remap, depth_format=depth, depth_remap=remap)
     return Recording(
         f"tum_{root.resolve().name}",
         t,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from slamcmp.datasets.rectification import Lens, rectify, undistort
+from slamcmp.errors import DataError
 from slamcmp.geometry import exp, inverse, transform
 
 SIZE = (320, 240)
@@ -52,7 +53,7 @@ def test_without_distortion_nothing_changes() -> None:
 
 def test_both_rectified_images_show_the_scene_as_one_stereo_camera_would() -> None:
     """The rotations, the baseline and which side is which: pixels of both new images traced to the old."""
-    pair = rectify(LEFT, RIGHT, inverse(T_LEFT_RIGHT), SIZE)
+    pair = rectify(LEFT, RIGHT, inverse(T_LEFT_RIGHT), SIZE, source="")
     assert pair.baseline_m == pytest.approx(np.linalg.norm(T_LEFT_RIGHT[:3, 3]), rel=1e-9)
     depth = 3.0
     in_new_left = depth * _rays(pair.K)
@@ -71,3 +72,11 @@ def test_nearest_values_are_not_mixed() -> None:
     stripes = np.tile(np.where(np.arange(SIZE[0]) % 7 < 3, 1.0, 9.0).astype(np.float32), (SIZE[1], 1))
     assert set(np.unique(remap.apply(stripes, nearest=True))) <= {1.0, 9.0}
     assert len(np.unique(remap.apply(stripes))) > 100
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.0], [-0.11, 0.0, 0.0], [0.01, 0.11, 0.0]])
+def test_a_right_camera_that_is_not_on_the_right(place: list[float]) -> None:
+    T_left_right = np.eye(4)
+    T_left_right[:3, 3] = place
+    with pytest.raises(DataError, match=r"mine\.yaml: the right camera stands at .* must stand to the right"):
+        rectify(LEFT, RIGHT, inverse(T_left_right), SIZE, source="mine.yaml")
