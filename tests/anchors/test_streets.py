@@ -1,0 +1,39 @@
+"""P7, towns like that of cityTrees10000: a healthy NIS, a filter astray, and what alignment hides."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.anchors.shipped import measured, verdict_of
+
+
+def check(found: dict[str, dict[str, float]], nees: float, odometry: float, hidden: float) -> None:
+    """At least: the EKF's NEES, odometry's error over the EKF's, and the factor by which alignment raises the
+    EKF's error over the batch's."""
+    assert found["online_pose_nees"]["EKF"] > nees
+    assert found["online_ate"]["odometry"] > odometry * found["online_ate"]["EKF"]
+    raw = found["online_ate"]["EKF"] / found["final_ate"]["batch"]
+    aligned = found["online_ate_aligned"]["EKF"] / found["final_ate_aligned"]["batch"]
+    assert raw > 1.0
+    assert aligned > hidden * raw
+
+
+def test_p7_in_a_short_drive(tmp_path: Path) -> None:
+    """3 towns, 1500 steps: 3900 degrees of freedom, 99.9 % of their chi-square per dof in 1 +- 0.075."""
+    verdict = verdict_of("p7", tmp_path, runs=3, source={"steps": 1500})
+    found = measured(verdict)
+    assert found["chi2_per_dof"]["batch"] == pytest.approx(1.0, abs=0.075)
+    assert found["nis_per_dof"]["EKF"] == pytest.approx(1.0, abs=0.075)
+    check(found, nees=6.0, odometry=3.0, hidden=1.5)
+
+
+@pytest.mark.slow
+def test_p7_over_twenty_towns(tmp_path: Path) -> None:
+    verdict = verdict_of("p7", tmp_path)
+    for value in verdict.values:
+        assert value.verdict in ("inside", "not judged"), value
+    for order in verdict.orders:
+        assert order.verdict == "held", order
+    check(measured(verdict), nees=9.0, odometry=5.0, hidden=1.5)
