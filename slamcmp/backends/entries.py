@@ -3,8 +3,8 @@
 A sensor that places a landmark by one measurement brings new ones by measuring them. Any other, such as a
 single camera, brings them in ``Frame.entries``, measured by ``entry_sensor``; what it measures of a landmark
 that is not in the map (any more) has no use. A landmark behind a camera has no predicted image, so nothing
-can be learnt from measuring it: GTSAM gives it a constant error without derivatives, the filters leave the
-measurement out. Back ends count both as ``dropped``.
+can be learnt from measuring it: GTSAM and the sliding window give it a constant error without derivatives,
+filters leave the measurement out. Filters count both as ``dropped``.
 """
 
 from __future__ import annotations
@@ -92,3 +92,21 @@ def with_image(z_predicted: FloatArray, k: int) -> BoolArray:
             "it by the estimate, which is lost"
         )
     return exists
+
+
+def errors(sensor: SensorModel, T: FloatArray, landmarks: FloatArray, z: FloatArray) -> FloatArray:
+    """h(T, l) - z, (..., d); without an image 2 fx in every component, which is what GTSAM has there."""
+    z_predicted = sensor.predict(T, landmarks)
+    error: FloatArray = -sensor.residual(z, z_predicted)
+    if isinstance(sensor, Camera):
+        error[~np.isfinite(z_predicted).all(axis=-1)] = 2.0 * sensor.fx_px
+    return error
+
+
+def derivatives(sensor: SensorModel, T: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Those of ``errors`` by the pose (..., d, p) and the landmark (..., d, n): zero without an image."""
+    H_pose, H_land = sensor.jacobians(T, landmarks)
+    if isinstance(sensor, Camera):
+        hidden = ~(sensor.camera_point(T, landmarks)[..., 2] > 0)
+        H_pose[hidden], H_land[hidden] = 0.0, 0.0
+    return H_pose, H_land

@@ -100,6 +100,7 @@ class Batch:
         self._P = problem.P
         self._t: list[float] = []
         self._solution: _Solution | None = None
+        self._behind = 0
 
     def update(self, frame: Frame) -> None:
         """Add the frame to the cost and to the warm start; solve where ``every`` says so."""
@@ -139,8 +140,8 @@ class Batch:
         """Every pose at the optimum.
 
         Raises:
-            DivergedError: no convergence, a result that is not finite, or chi-square per dof above
-                ``max_chi2_per_dof``.
+            DivergedError: no convergence, a result that is not finite, chi-square per dof above
+                ``max_chi2_per_dof``, or more than 1 % of what a camera saw is behind it.
         """
         solution = self._checked_solution()
         poses = poses_in(solution.values, len(self._t), self._builder.space_dim)
@@ -160,12 +161,14 @@ class Batch:
         return builder.joint(len(self._t) - 1, solution.joint_covariance, builder.landmark_ids())
 
     def diagnostics(self) -> Mapping[str, float]:
-        """``landmarks``; once solved also ``chi2, dof, chi2_per_dof, iterations`` of the solution."""
-        count = {"landmarks": float(len(self._builder.known))}
+        """``landmarks``, ``dropped`` measurements; once solved also ``chi2, dof, chi2_per_dof, iterations``
+        of the solution, and how many observations are of landmarks ``behind_camera``."""
+        builder = self._builder
+        count = {"landmarks": float(len(builder.known)), "dropped": float(builder.dropped)}
         if self._solution is None:
             return count
-        fit = self._builder.goodness(self._solution.chi2)
-        return {**count, **fit, "iterations": float(self._solution.iterations)}
+        solved = {"iterations": float(self._solution.iterations), "behind_camera": float(self._behind)}
+        return {**count, **builder.goodness(self._solution.chi2), **solved}
 
     def _pose_in(self, values: Any, k: int) -> Any:
         return (values.atPose2 if self._builder.space_dim == 2 else values.atPose3)(pose_key(k))
@@ -176,6 +179,8 @@ class Batch:
         solution = self._solution
         assert solution is not None
         self._require_convergence(solution)
+        poses = poses_in(solution.values, len(self._t), self._builder.space_dim)
+        self._behind = self._builder.require_images(solution.values, poses, "batch")
         ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
         if ratio > self._max_chi2_per_dof:
             raise DivergedError(

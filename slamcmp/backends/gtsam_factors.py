@@ -21,7 +21,9 @@ import numpy as np
 from gtsam import noiseModel
 from numpy.typing import NDArray
 
+from slamcmp.backends.entries import Entries, derivatives, errors
 from slamcmp.errors import UsageError
+from slamcmp.models.camera import Camera, MonoCamera, StereoCamera
 from slamcmp.models.sensors import RangeBearing, RelativePosition
 from slamcmp.protocols import SensorModel
 from slamcmp.types import TANGENT_DIM, Frame
@@ -67,6 +69,10 @@ class NoiseCache:
         return model
 
 
+Sights = Frame | Entries
+"""What has ids, z and R: a frame's measurements, or the landmarks that enter with it."""
+
+
 class ObservationFactors(Protocol):
     """How landmarks of one sensor enter the graph."""
 
@@ -84,8 +90,8 @@ class ObservationFactors(Protocol):
     def pin(self, key: int) -> Any | None:
         """A factor that a new landmark variable needs to be determined, or None."""
 
-    def factors(self, key: int, frame: Frame) -> Iterator[Any]:
-        """One factor for each observation of the frame, whose pose is ``key``."""
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
+        """One factor for each observation from the pose ``key``."""
 
 
 def observation_factors(sensor: SensorModel, wrap: Callable[[Any], Any]) -> ObservationFactors:
@@ -94,6 +100,10 @@ def observation_factors(sensor: SensorModel, wrap: Callable[[Any], Any]) -> Obse
         return _RangeBearingFactors(wrap)
     if isinstance(sensor, RelativePosition):
         return _RelativePositionFactors(sensor, wrap)
+    if isinstance(sensor, MonoCamera):
+        return _PixelFactors(sensor, wrap)
+    if isinstance(sensor, StereoCamera):
+        return _StereoFactors(sensor, wrap)
     return _AnySensorFactors(sensor, wrap)
 
 
@@ -121,9 +131,11 @@ class _RangeBearingFactors(_PointLandmarks):
         super().__init__(2)
         self._noise = NoiseCache(lambda R: wrap(noiseModel.Gaussian.Covariance(R[::-1, ::-1])))
 
-    def factors(self, key: int, frame: Frame) -> Iterator[Any]:
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
         noise = self._noise
-        for landmark_id, (r, bearing), R in zip(frame.ids.tolist(), frame.z.tolist(), frame.R, strict=True):
+        for landmark_id, (r, bearing), R in zip(
+            sights.ids.tolist(), sights.z.tolist(), sights.R, strict=True
+        ):
             yield gtsam.BearingRangeFactor2D(
                 key, _LANDMARK_KEYS + landmark_id, gtsam.Rot2(bearing), r, noise(R)
             )
@@ -168,16 +180,50 @@ class _RelativePositionFactors:
     def pin(self, key: int) -> Any | None:
         return self._prior(key, self.value(np.zeros(self._n)), self._pin_noise)
 
-    def factors(self, key: int, frame: Frame) -> Iterator[Any]:
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
         n, size = self._n, self._n + 1
-        S = np.linalg.inv(np.linalg.cholesky(frame.R))
+        S = np.linalg.inv(np.linalg.cholesky(sights.R))
         whitener = np.zeros((len(S), size * size, size * size))
         for j in range(n):
-            whitener[:, :n, size * j : size * j + n] = S * frame.z[:, j, None, None]
+            whitener[:, :n, size * j : size * j + n] = S * sights.z[:, j, None, None]
         whitener[:, :n, size * n : size * n + n] = S
-        for landmark_id, z, rows in zip(frame.ids.tolist(), frame.z, whitener, strict=True):
+        for landmark_id, z, rows in zip(sights.ids.tolist(), sights.z, whitener, strict=True):
             model = self._wrap(noiseModel.Gaussian.SqrtInformation(rows, False))
             yield self._factor(_LANDMARK_KEYS + landmark_id, key, self.value(-z), model)
+
+
+class _CameraFactors(_PointLandmarks):
+    """GTSAM's own; a landmark behind the camera gets an error of 2 fx and no Jacobian, not an exception."""
+
+    def __init__(self, sensor: Camera, wrap: Callable[[Any], Any]) -> None:
+        super().__init__(3)
+        self._mounting = gtsam.Pose3(sensor.T_body_camera)
+        self._noise = NoiseCache(lambda R: wrap(noiseModel.Gaussian.Covariance(R)))
+
+
+class _PixelFactors(_CameraFactors):
+    def __init__(self, sensor: MonoCamera, wrap: Callable[[Any], Any]) -> None:
+        super().__init__(sensor, wrap)
+        self._K = gtsam.Cal3_S2(sensor.fx_px, sensor.fy_px, 0.0, sensor.cx_px, sensor.cy_px)
+
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
+        make, noise, K, mounting = gtsam.GenericProjectionFactorCal3_S2, self._noise, self._K, self._mounting
+        for landmark_id, z, R in zip(sights.ids.tolist(), sights.z, sights.R, strict=True):
+            yield make(z, noise(R), key, _LANDMARK_KEYS + landmark_id, K, False, False, mounting)
+
+
+class _StereoFactors(_CameraFactors):
+    def __init__(self, sensor: StereoCamera, wrap: Callable[[Any], Any]) -> None:
+        super().__init__(sensor, wrap)
+        self._K = gtsam.Cal3_S2Stereo(
+            sensor.fx_px, sensor.fy_px, 0.0, sensor.cx_px, sensor.cy_px, sensor.baseline_m
+        )
+
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
+        make, noise, K, mounting = gtsam.GenericStereoFactor3D, self._noise, self._K, self._mounting
+        for landmark_id, z, R in zip(sights.ids.tolist(), sights.z.tolist(), sights.R, strict=True):
+            point = gtsam.StereoPoint2(*z)
+            yield make(point, noise(R), key, _LANDMARK_KEYS + landmark_id, K, False, False, mounting)
 
 
 class _AnySensorFactors(_PointLandmarks):
@@ -188,8 +234,8 @@ class _AnySensorFactors(_PointLandmarks):
         self._sensor = sensor
         self._noise = NoiseCache(lambda R: wrap(noiseModel.Gaussian.Covariance(R)))
 
-    def factors(self, key: int, frame: Frame) -> Iterator[Any]:
-        for landmark_id, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
+        for landmark_id, z, R in zip(sights.ids.tolist(), sights.z, sights.R, strict=True):
             keys = [key, _LANDMARK_KEYS + landmark_id]
             yield gtsam.CustomFactor(self._noise(R), keys, self._error(keys[0], keys[1], z))
 
@@ -201,13 +247,15 @@ class _AnySensorFactors(_PointLandmarks):
             T = (values.atPose2(key) if n == 2 else values.atPose3(key)).matrix()
             point = self.position_of(values, landmark)
             if H is not None:
-                for i, (jacobian, shape) in enumerate(zip(sensor.jacobians(T, point), shapes, strict=True)):
+                for i, (jacobian, shape) in enumerate(
+                    zip(derivatives(sensor, T, point), shapes, strict=True)
+                ):
                     # A wrong shape would crash the process inside GTSAM.
                     if jacobian.shape != shape:
                         raise UsageError(
                             f"sensor {sensor.name!r}: Jacobian {i} has shape {jacobian.shape}, not {shape}"
                         )
                     H[i] = jacobian
-            return -sensor.residual(z, sensor.predict(T, point))
+            return errors(sensor, T, point, z)
 
         return error

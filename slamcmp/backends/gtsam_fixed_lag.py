@@ -40,7 +40,8 @@ class FixedLag:
         mode: ``incremental`` updates a Bayes tree; ``batch`` iterates Levenberg-Marquardt over the window.
         landmarks: ``keep`` holds every landmark in the window for ever; ``drop`` marginalises one that was
             not seen for ``lag_frames`` frames, and a later sighting starts a new variable with no memory of
-            it (cost per frame stays flat, old landmarks close no loops).
+            it (cost per frame stays flat, old landmarks close no loops). Where one measurement does not
+            place a landmark (a single camera), a later sighting is dropped, and counted.
         relinearize_threshold: as in ``isam2``; for ``incremental``.
         relinearize_skip: as in ``isam2``; for ``incremental``.
         factorization: as in ``isam2``; for ``incremental``. Default: ``cholesky`` with ``keep``, where ``qr``
@@ -106,7 +107,10 @@ class FixedLag:
         """Add the frame to the window, solve, and marginalise what is older than the lag."""
         k = frame.k
         graph, values = self._builder.extend(frame, self._pose)
-        seen = frame.ids.tolist()
+        # Those that a camera saw after they had left cannot enter again: they have no variable.
+        seen = [i for i in frame.ids.tolist() if i in self._builder.known]
+        if frame.entries is not None:
+            seen += frame.entries.ids.tolist()
         for landmark_id in seen:
             self._last_seen[landmark_id] = k
         now = float(k)
@@ -151,17 +155,23 @@ class FixedLag:
         """Fixed-lag smoothed: each pose as it was when it left the window, with ``lag_frames`` of hindsight.
 
         The poses still in the window have less. Not the optimum of the whole cost, and without covariances.
+
+        Raises:
+            DivergedError: a pose is not finite, or more than 1 % of what the window's cameras saw is behind.
         """
         k = len(self._t) - 1
         first = len(self._left_poses)
         window = [self._pose_at(pose_key(j)).matrix() for j in range(first, k + 1)]
         poses = require_finite(np.array(self._left_poses + window), "fixed_lag", k)
+        self._builder.require_images(self._smoother.calculateEstimate(), poses[first:], "fixed_lag")
         return Trajectory(np.array(self._t), poses)
 
     def diagnostics(self) -> Mapping[str, float]:
-        """``landmarks`` in the window, its ``variables``; for ``incremental`` also the last update's work."""
+        """``landmarks`` in the window, its ``variables``, the frame's measurements that were ``dropped``; for
+        ``incremental`` also the last update's work."""
         known = len(self._builder.known)
         scalars = {"landmarks": float(known), "variables": float(known + min(len(self._t), self._lag + 1))}
+        scalars["dropped"] = float(self._builder.dropped)
         if self._incremental:
             result = self._smoother.getISAM2Result()
             scalars["relinearized"] = float(result.getVariablesRelinearized())

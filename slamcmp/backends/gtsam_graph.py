@@ -14,6 +14,7 @@ Q         covariance of an odometry increment, body tangent, (p, p)
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import atan2
 from typing import Any, Literal
 
@@ -22,18 +23,25 @@ import numpy as np
 from gtsam import noiseModel
 from numpy.typing import NDArray
 
+from slamcmp.backends.entries import Entries, entering, placed, places_by_itself
 from slamcmp.backends.gtsam_factors import NoiseCache, landmark_key, observation_factors, pose_key
 from slamcmp.backends.whitening import require_definite
 from slamcmp.errors import DivergedError, UsageError
+from slamcmp.models.camera import Camera
+from slamcmp.models.sensors import entry_sensor
 from slamcmp.types import TANGENT_DIM, Frame, Landmarks, Problem
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 RobustKernel = Literal["none", "huber", "cauchy", "tukey"]
 """What the norm of an observation's whitened residual goes through; odometry and prior stay quadratic."""
 
 _WIDTHS = {"huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
 """Widths with 95 % efficiency on Gaussian data (Zhang 1997, "Parameter estimation techniques", table 1)."""
+
+MOST_WITHOUT_IMAGE = 0.01
+"""Largest share of observations that may be of landmarks behind the camera; each weighs as thousands."""
 
 
 class GraphBuilder:
@@ -50,13 +58,20 @@ class GraphBuilder:
         """Ids of the landmarks that already have a variable; discard one to have it initialised anew."""
         self.next_frame = 0
         planar = self.space_dim == 2
-        self._sensor = problem.sensor
+        self.dropped = 0
+        """Measurements of the last frame that had no use: their landmarks are unknown and cannot enter."""
+        self._sensor, self._entry_sensor = problem.sensor, entry_sensor(problem.sensor)
+        self._sights: list[IntArray] = []
         self._prior = _to_gtsam(problem.T_world_body)
         self._prior_P = problem.P
         self._prior_factor = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
         self._between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
         self._odometry_noise = NoiseCache(self._odometry_model)
-        self._observations = observation_factors(problem.sensor, _robust_wrapper(robust, robust_width))
+        wrap = _robust_wrapper(robust, robust_width)
+        self._observations = observation_factors(self._sensor, wrap)
+        self._entries = None
+        if not places_by_itself(self._sensor):
+            self._entries = observation_factors(self._entry_sensor, wrap)
         self._rows = 0
 
     def extend(self, frame: Frame, previous: Any) -> tuple[Any, Any]:
@@ -83,12 +98,9 @@ class GraphBuilder:
             predicted = previous.compose(increment)
             graph.add(self._between(key - 1, key, increment, self._odometry_noise(frame.Q)))
         values.insert(key, predicted)
-        if frame.ids.size:
-            self._start_new_landmarks(graph, values, predicted, frame)
-            for factor in self._observations.factors(key, frame):
-                graph.add(factor)
+        self._observe(graph, values, predicted, frame)
         self.next_frame = k + 1
-        self._rows += TANGENT_DIM[self.space_dim] + frame.z.size
+        self._rows += TANGENT_DIM[self.space_dim]
         return graph, values
 
     def landmark_ids(self) -> list[int]:
@@ -127,17 +139,62 @@ class GraphBuilder:
         dof = self._rows - unknowns
         return {"chi2": chi2, "dof": float(dof), "chi2_per_dof": chi2 / dof if dof > 0 else float("nan")}
 
+    def require_images(self, values: Any, poses: FloatArray, back_end: str) -> int:
+        """How many observations of the last poses (K, n+1, n+1) are of landmarks behind the camera.
+
+        GTSAM gives each a constant error without a derivative and says nothing.
+
+        Raises:
+            DivergedError: more than ``MOST_WITHOUT_IMAGE`` of them.
+        """
+        if not isinstance(self._sensor, Camera):
+            return 0
+        ids = np.array(self.landmark_ids(), dtype=np.int64)
+        positions = self.positions(values, ids.tolist())
+        behind, total = 0, 0
+        for T, seen in zip(poses, self._sights[-len(poses) :], strict=True):
+            rows = np.searchsorted(ids, seen[np.isin(seen, ids)])
+            behind += int((self._sensor.camera_point(T, positions[rows])[:, 2] <= 0).sum())
+            total += rows.size
+        if behind > MOST_WITHOUT_IMAGE * total:
+            raise DivergedError(
+                f"{back_end}: {behind} of {total} observations are of landmarks behind the camera, for which "
+                "GTSAM has a constant error and no derivative: the solution is lost"
+            )
+        return behind
+
     def _odometry_model(self, Q: FloatArray) -> Any:
         require_definite(Q, f"the odometry covariance Q of frame {self.next_frame}")
         return noiseModel.Gaussian.Covariance(Q)
 
-    def _start_new_landmarks(self, graph: Any, values: Any, predicted: Any, frame: Frame) -> None:
+    def _observe(self, graph: Any, values: Any, predicted: Any, frame: Frame) -> None:
+        """Factors of the frame's observations and of the landmarks that enter with it."""
+        key, sights = pose_key(frame.k), frame
+        unknown = np.array([i not in self.known for i in frame.ids.tolist()], dtype=bool)
+        if unknown.any() or frame.entries is not None:
+            entries = entering(frame, unknown, self._sensor)
+            self._start(graph, values, predicted, entries)
+            if self._entries is not None:
+                for factor in self._entries.factors(key, entries):
+                    graph.add(factor)
+                self._rows += entries.z.size
+                if entries.dropped:
+                    sights = replace(frame, ids=frame.ids[~unknown], z=frame.z[~unknown], R=frame.R[~unknown])
+            self.dropped = entries.dropped
+        else:
+            self.dropped = 0
+        for factor in self._observations.factors(key, sights):
+            graph.add(factor)
+        self._rows += sights.z.size
+        if isinstance(self._sensor, Camera):
+            self._sights.append(sights.ids)
+
+    def _start(self, graph: Any, values: Any, predicted: Any, entries: Entries) -> None:
         known, how = self.known, self._observations
-        new = [i for i, landmark_id in enumerate(frame.ids.tolist()) if landmark_id not in known]
-        if not new:
+        if entries.ids.size == 0:
             return
-        positions = self._sensor.invert(predicted.matrix(), frame.z[new])
-        for landmark_id, position in zip(frame.ids[new].tolist(), positions, strict=True):
+        positions = placed(self._entry_sensor, predicted.matrix(), entries, self.next_frame)
+        for landmark_id, position in zip(entries.ids.tolist(), positions, strict=True):
             key = landmark_key(landmark_id)
             values.insert(key, how.value(position))
             pin = how.pin(key)

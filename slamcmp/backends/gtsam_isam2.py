@@ -80,6 +80,7 @@ class Isam2:
         self._final_covariances = final_covariances
         self._t: list[float] = []
         self._final_chi2: float | None = None
+        self._behind = 0
 
     def update(self, frame: Frame) -> None:
         """Add the frame's factors to the tree and solve; the pose's back-substitution is part of it."""
@@ -111,11 +112,16 @@ class Isam2:
         return np.array(known, dtype=np.int64), builder.positions(solver.values(), known), joint
 
     def trajectory(self) -> Trajectory:
-        """Every pose as the tree has it now: smoothed, but not iterated to convergence (see ``batch``)."""
+        """Every pose as the tree has it now: smoothed, but not iterated to convergence (see ``batch``).
+
+        Raises:
+            DivergedError: a pose is not finite, or more than 1 % of what a camera saw is behind it.
+        """
         values = self._solver.values()
         poses = require_finite(
             poses_in(values, len(self._t), self._builder.space_dim), "isam2", self._solver.k
         )
+        self._behind = self._builder.require_images(values, poses, "isam2")
         self._final_chi2 = 2.0 * self._solver.graph().error(values)
         covariances = None
         if self._final_covariances:
@@ -123,15 +129,17 @@ class Isam2:
         return Trajectory(np.array(self._t), poses, covariances)
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Work of the last update; after ``trajectory()`` the chi-square of the whole cost.
+        """Work of the last update; after ``trajectory()`` the chi-square of the whole cost, and how many
+        observations are of landmarks ``behind_camera``: each adds a constant that is no residual.
 
         ``relinearized`` and ``reeliminated`` count variables, ``cliques`` those of the tree that were redone.
         """
         if self._final_chi2 is not None:
-            return self._builder.goodness(self._final_chi2)
+            return {**self._builder.goodness(self._final_chi2), "behind_camera": float(self._behind)}
         result = self._solver.result
         return {
             "landmarks": float(len(self._builder.known)),
+            "dropped": float(self._builder.dropped),
             "relinearized": float(result.getVariablesRelinearized()),
             "reeliminated": float(result.getVariablesReeliminated()),
             "cliques": float(result.getCliques()),
