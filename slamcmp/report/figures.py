@@ -18,7 +18,7 @@ from slamcmp.registry import figures
 from slamcmp.report import style
 from slamcmp.report.selection import NotDrawable
 
-ORDER = ("map", "errors", "consistency", "time", "budget", "sweep")
+ORDER = ("map", "errors", "consistency", "observability", "kl_from_batch", "time", "budget", "sweep")
 """How a report reads; figures that are not named here follow in alphabetical order."""
 DPI = 150
 
