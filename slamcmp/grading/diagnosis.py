@@ -64,7 +64,7 @@ def explain(
             for place in unexplained
             if place in theirs
             and _same(own[place], theirs[place])
-            and not _same(theirs[place][: len(right[place])], right[place][: len(theirs[place])])
+            and _tells_apart(theirs[place], right[place])
         ]
         if explained:
             at = _largest(explained[0], own[explained[0]], right[explained[0]])
@@ -94,6 +94,11 @@ def _missing(answers: Sequence[Any]) -> bool:
 def _same(first: Sequence[Any], second: Sequence[Any]) -> bool:
     # One side may have been asked less, or have stopped answering.
     return all(_alike(a, b) for a, b in zip(first, second, strict=False))
+
+
+def _tells_apart(theirs: Sequence[Any], right: Sequence[Any]) -> bool:
+    """Whether a mistake shows in numbers: many a mistake ends in the same error of numpy's."""
+    return any(not isinstance(a, str) and not _alike(a, b) for a, b in zip(theirs, right, strict=False))
 
 
 def _alike(first: Any, second: Any) -> bool:
@@ -139,6 +144,8 @@ def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
         and a.shape == b.shape
         and not _alike(a, b)
     ]
+    if rows := _rows_signature(what, own, right):
+        return rows
     if not pairs:
         return ""
     if any(not np.isfinite(a).all() for a, _ in pairs):
@@ -156,11 +163,30 @@ def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
     ratios = [float(np.vdot(a, b) / np.vdot(b, b)) for a, b in pairs if b.any()]
     if ratios and all(_alike(a, ratios[0] * b) for a, b in pairs):
         return f"{what} is {ratios[0]:.4g} times what it should be."
+    if all(a.ndim == 2 and a.shape[1] == 2 and _alike(a[:, ::-1], b) for a, b in pairs):
+        return f"{what} has its two columns swapped."
     squares = [(a, b) for a, b in pairs if a.ndim == 2 and a.shape[0] == a.shape[1]]
     if squares and all(_alike(a @ b, np.eye(len(a))) for a, b in squares):
         return f"{what} is the inverse of what it should be; are covariance and information mixed up?"
     if squares and all(_alike(b, b.T) and not _alike(a, a.T) for a, b in squares):
         return f"{what} is not symmetric, as a covariance has to be; is a transpose missing?"
+    return ""
+
+
+def _rows_signature(what: str, own: Sequence[Any], right: Sequence[Any]) -> str:
+    """Of answers that are lists of pairs: too many, or too few, and otherwise right."""
+    more = fewer = 0
+    for first, second in zip(own, right, strict=False):
+        a, b = _numbers(first), _numbers(second)
+        if a is None or b is None or a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
+            return ""
+        given, wanted = ({tuple(row) for row in rows.tolist()} for rows in (a, b))
+        more += len(given - wanted)
+        fewer += len(wanted - given)
+    if more and not fewer:
+        return f"{what} holds all that it should and {more} rows more; is a check left out?"
+    if fewer and not more:
+        return f"{what} lacks {fewer} rows and is right in the others; is a check too strict?"
     return ""
 
 

@@ -7,6 +7,7 @@ import importlib.metadata
 import platform
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -284,8 +285,9 @@ class Grading:
         if key not in self._replays:
             module = self.assignment.mutated(mutant) if mutant else self.assignment.solution()
             remembering = Remembering(TrustedImplementation(module))
-            # A mutant may fail in any way that a submission may; what it answered before that counts.
-            with contextlib.suppress(Exception):
+            # A mutant may fail in any way that a submission may; what it answered before that counts, and
+            # its warnings are nobody's.
+            with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
                 spec.plugin.target(self.trial(spec, remembering, short=True), **spec.parameters)
             self._replays[key] = remembering.answers
         return self._replays[key]

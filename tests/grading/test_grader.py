@@ -178,3 +178,21 @@ def test_diagnosis_runs_no_more_mutants_than_it_needs() -> None:
     asked.clear()
     assert explain([wrong[1]], right, known()) == []
     assert asked == []
+
+
+def test_diagnosis_takes_no_common_error_for_a_known_mistake() -> None:
+    right = [Remembered("f", (), np.eye(2))]
+    stopped = [Remembered("f", (), "LinAlgError: Singular matrix")]
+    assert explain(stopped, right, [("an unrelated mistake", stopped)]) == []
+
+
+def test_diagnosis_tells_rows_too_many_and_too_few_and_swapped_columns() -> None:
+    pairs = np.array([[0, 3], [1, 2], [4, 4]])
+
+    def cause(answer: np.ndarray) -> list[str]:
+        return explain([Remembered("match", (), answer)], [Remembered("match", (), pairs)], [])
+
+    more = np.vstack([pairs[:1], [[0, 1], [3, 1]], pairs[1:]])
+    assert cause(more) == ["match holds all that it should and 2 rows more; is a check left out?"]
+    assert cause(pairs[:2]) == ["match lacks 1 rows and is right in the others; is a check too strict?"]
+    assert cause(pairs[:, ::-1]) == ["match has its two columns swapped."]
