@@ -1,9 +1,10 @@
-"""``slamcmp check``: does a back end do what every back end must?"""
+"""``slamcmp check``: does a back end do what every back end must, and does a file pass its public tests?"""
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -17,12 +18,19 @@ if TYPE_CHECKING:
 def add_commands(app: typer.Typer) -> None:
     """Put this file's commands into the application."""
     app.command(
-        epilog="Examples: slamcmp check my_backend.py:MyEkf | slamcmp check isam2 --set relinearize_skip=10"
+        epilog="Examples: slamcmp check my_backend.py:MyEkf | slamcmp check isam2 --set relinearize_skip=10 "
+        "| slamcmp check ekf.py"
     )(check)
 
 
 def check(
-    back_end: Annotated[str, typer.Argument(help="A registered name, or FILE.py:CLASS for your own.")],
+    back_end: Annotated[
+        str,
+        typer.Argument(
+            help="A registered name, or FILE.py:CLASS for your own; FILE.py alone runs the public_tests.py "
+            "of an assignment that lies beside it."
+        ),
+    ],
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="NAME=VALUE", help="A parameter of the back end; may be repeated."),
@@ -33,15 +41,25 @@ def check(
 
     Exit code 0: it has every property; 1: it lacks some, and the likely cause is printed.
     """
-    from slamcmp.experiment.conformance import check_back_end
-
-    findings = check_back_end(back_end, _parameters(back_end, settings or []))
+    findings = _findings(back_end, settings or [])
     if as_json:
         print(json.dumps([asdict(finding) for finding in findings], indent=2))
     else:
         _print(back_end, findings)
     if not all(finding.passed for finding in findings):
         raise typer.Exit(1)
+
+
+def _findings(back_end: str, settings: list[str]) -> list[Finding]:
+    if back_end.endswith(".py"):
+        from slamcmp.grading.public_tests import run_public_tests
+
+        if settings:
+            raise UsageError(f"--set: {back_end} is no back end; FILE.py:CLASS would be one")
+        return run_public_tests(Path(back_end))
+    from slamcmp.experiment.conformance import check_back_end
+
+    return check_back_end(back_end, _parameters(back_end, settings))
 
 
 def _parameters(back_end: str, settings: list[str]) -> dict[str, Any]:
@@ -79,7 +97,8 @@ def _print(back_end: str, findings: list[Finding]) -> None:
     for finding in findings:
         mark, style = ("ok  ", "green") if finding.passed else ("FAIL", "bold red")
         console.print(Text.assemble((mark, style), f" {finding.check}"))
-        console.print(Text(f"     {finding.message}", style="" if not finding.passed else "dim"))
+        message = finding.message.replace("\n", "\n     ")
+        console.print(Text(f"     {message}", style="" if not finding.passed else "dim"))
     failed = sum(not finding.passed for finding in findings)
     if failed:
         print(f"{back_end}: {failed} of {len(findings)} checks failed")
