@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -109,14 +111,15 @@ def number_table(path: Path, columns: int, *, exactly: bool = False) -> FloatArr
     Raises:
         DataError: see :func:`text_rows` and :func:`numbers`; or there is no line.
     """
+    table: FloatArray = np.empty((0, 0))
+    # Ten times as fast where all is well; what is wrong with a file is found below.
+    with warnings.catch_warnings(), contextlib.suppress(ValueError):
+        warnings.simplefilter("ignore")
+        table = np.loadtxt(path, ndmin=2, encoding="utf-8")
+    fits = table.shape[1] == columns if exactly else table.shape[1] >= columns
+    if len(table) and fits and np.isfinite(table).all():
+        return table[:, :columns]
     rows = text_rows(path, columns, exactly=exactly)
     if not rows:
         raise DataError(f"{path}: holds no line of {columns} numbers")
-    try:
-        table = np.array([fields[:columns] for _, fields in rows], dtype=np.float64)
-    except ValueError:
-        table = np.array([np.nan])
-    if not np.isfinite(table).all():
-        # Again, line by line: to say which one it is.
-        table = np.array([numbers(where, fields[:columns]) for where, fields in rows])
-    return table
+    return np.array([numbers(where, fields[:columns]) for where, fields in rows])

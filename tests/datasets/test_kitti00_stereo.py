@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slamcmp.datasets.kitti00_stereo import kitti00_stereo
-from slamcmp.errors import DataError, MissingDataError
+from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.geometry import dead_reckoning, inverse
 from slamcmp.metrics.alignment import align_points
 from slamcmp.models.camera import FORWARD_CAMERA
@@ -98,6 +98,22 @@ def test_the_files_poses_lie_at_their_published_distance_from_kittis() -> None:
     np.testing.assert_allclose(truth[-1, :3, 3], [z, -x, -y], atol=1e-6)
 
 
+def test_the_truth_is_doubtful_at_its_beginning() -> None:
+    """Its steps against the measured ones: what the text of the source says and ``start`` is for."""
+    truth_file = str(recorded("kitti00_stereo_factors") / "kitti00_gt_frames0-153.txt")
+    log = kitti00_stereo(truth_file=truth_file)
+    measured = np.linalg.norm(log.T_prev_body[1:, :3, 3], axis=1)
+    ratio = np.linalg.norm(np.diff(log.truth.T_world_body[:, :3, 3], axis=0), axis=1) / measured
+    assert ratio[0] == pytest.approx(1.27, abs=0.01)
+    assert (np.diff(ratio[:12]) < 0).all()
+    assert np.abs(ratio[14:30] - 1).max() < 0.015
+    later = kitti00_stereo(truth_file=truth_file, start=50)
+    found = dead_reckoning(later.problem.T_world_body, later.T_prev_body)[:, :3, 3]
+    true = later.truth.T_world_body[:, :3, 3]
+    aligned = align_points(found, true).points(found)
+    assert np.sqrt(np.mean(np.sum((aligned - true) ** 2, axis=1))) == pytest.approx(0.068, abs=0.001)
+
+
 def test_truth_that_is_too_short_or_not_there(tmp_path: Path) -> None:
     short = tmp_path / "00.txt"
     short.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 100)
@@ -113,3 +129,10 @@ def test_steps_keeps_the_first_frames(log: Log) -> None:
     assert len(first.detections) == 7
     np.testing.assert_array_equal(first.T_prev_body, log.T_prev_body[:7])
     np.testing.assert_array_equal(first.detections[6].z, log.detections[6].z)
+    middle = kitti00_stereo(start=90, steps=10)
+    np.testing.assert_array_equal(middle.T_prev_body[1:], log.T_prev_body[91:100])
+    np.testing.assert_allclose(middle.t, log.t[90:100] - log.t[90])
+    for a, b in zip(middle.detections, log.detections[90:100], strict=True):
+        np.testing.assert_array_equal(a.ids, b.ids)
+    with pytest.raises(UsageError, match="start 134 leaves 1 of 135 frames"):
+        kitti00_stereo(start=134)
