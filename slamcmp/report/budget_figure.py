@@ -37,6 +37,8 @@ def plot_budget(results: Results) -> Figure:
     kinds = [which for which in ("online", "final") if has_values(trials, [f"{which}_ate"])]
     if not kinds:
         raise NotDrawable("no finished run has an ATE: the log has no truth and no reference was named")
+    if not has_values(trials, ["update_s"]):
+        raise NotDrawable("no run has times")
     reference = reference_name(results)
     joined = swept_columns(trials)
     title = "What does accuracy cost?" + (f" Joined: {' and '.join(joined)}" if joined else "")

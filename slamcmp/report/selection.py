@@ -114,7 +114,7 @@ def has_values(table: pd.DataFrame, columns: Sequence[str]) -> bool:
 
 
 def milliseconds_per_frame(trials: pd.DataFrame, *times: str) -> pd.Series[float]:
-    """Sum of the named times [s] of each run over its finished frames, in ms."""
+    """Sum of the named times [s] of each run over its finished frames, in ms; NaN where one was not taken."""
     finished = (trials["frames"] * trials["completion"]).where(lambda count: count > 0)
-    total: pd.Series[float] = trials[list(times)].sum(axis=1) / finished * 1e3
+    total: pd.Series[float] = trials[list(times)].sum(axis=1, skipna=False) / finished * 1e3
     return total

@@ -59,6 +59,8 @@ def plot_sweep(results: Results) -> Figure:
         for metric, name in PANELS
         if has_values(trials, [f"online_{metric}"]) or has_values(trials, [f"final_{metric}"])
     ]
+    if not panels:
+        raise NotDrawable("no run has an error, a NEES or a time to draw against what was swept")
     middle = middle_point(results)
     title = " and ".join(paths)
     figure = style.new_figure(2.9 * len(panels) + 0.6, 2.9 * len(paths) + 1.1, f"Against {title}")

@@ -197,6 +197,32 @@ def test_a_swept_name_gets_a_place_of_its_own(swept):
     np.testing.assert_allclose(np.asarray(figure.axes[0].lines[1].get_xdata(), dtype=float), [0, 1, 2])
 
 
+def test_a_sweep_without_a_single_value_says_so(swept):
+    """Every run of every grid point crashed before its first frame: there is no cell to draw."""
+    keys = ["trial", "label", "seed", "digest", "source.range_sigma_m", "status", "frames", "reference"]
+    trials = swept.trials[keys].assign(
+        status="crashed", completion=0.0, update_s=math.nan, estimate_s=math.nan, final_s=math.nan
+    )
+    empty = dataclasses.replace(swept, trials=trials, frames=swept.frames[:0])
+    with pytest.raises(NotDrawable, match="no run has an error, a NEES or a time"):
+        plot_sweep(empty)
+    (drawn,) = each_figure(empty, ["sweep"])
+    assert not drawn.reason.startswith("drawing it failed")
+
+
+def test_times_that_were_not_taken_are_not_zero(swept):
+    """Runs of a study have no times: no panel of them, and no accuracy against time."""
+    trials = swept.trials.assign(update_s=math.nan, estimate_s=math.nan)
+    timeless = dataclasses.replace(swept, trials=trials)
+    assert [axes.get_title(loc="left") for axes in plot_sweep(timeless).axes] == [
+        "ATE [m]",
+        "heading RMSE [deg]",
+        "pose NEES (dotted: expected)",
+    ]
+    with pytest.raises(NotDrawable, match="no run has times"):
+        plot_budget(timeless)
+
+
 def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_path):
     files = draw_figures(nothing_known, None, tmp_path / "figures", formats=("svg",))
     assert [path.name for path in files] == ["map.svg", "time.svg"]
@@ -207,6 +233,8 @@ def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_p
         "consistency",
         "dial",
         "errors",
+        "kl_from_batch",
+        "observability",
         "sweep",
     }
     assert "no truth" in files.skipped["errors"]
