@@ -19,6 +19,8 @@ from slamcmp.grading.scoring import FloatArray, leaves
 SAME = 1e-6
 """Relative difference of answers that come from the same equations."""
 _TURN = 2 * np.pi
+_RUNAWAY = 1e6
+"""Ratio to the right answer that no plain mistake reaches, but equations without a unique solution do."""
 
 Place = tuple[str, tuple[int | str, ...]]
 """A function, and which of its outputs."""
@@ -144,6 +146,9 @@ def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
         and a.shape == b.shape
         and not _alike(a, b)
     ]
+    free = "is something left out that ties the unknowns down, such as a prior or the noise?"
+    if any(isinstance(answer, str) and "Singular matrix" in answer for answer in own):
+        return f"{function} solves equations that have no unique solution; {free}"
     if rows := _rows_signature(what, own, right):
         return rows
     if not pairs:
@@ -170,6 +175,8 @@ def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
         return f"{what} is the inverse of what it should be; are covariance and information mixed up?"
     if squares and all(_alike(b, b.T) and not _alike(a, a.T) for a, b in squares):
         return f"{what} is not symmetric, as a covariance has to be; is a transpose missing?"
+    if all(np.abs(a).max() > _RUNAWAY * np.abs(b).max(initial=1.0) for a, b in pairs):
+        return f"{what} is larger than what it should be by many orders of magnitude; {free}"
     return ""
 
 

@@ -182,7 +182,7 @@ def test_diagnosis_runs_no_more_mutants_than_it_needs() -> None:
 
 def test_diagnosis_takes_no_common_error_for_a_known_mistake() -> None:
     right = [Remembered("f", (), np.eye(2))]
-    stopped = [Remembered("f", (), "LinAlgError: Singular matrix")]
+    stopped = [Remembered("f", (), "LinAlgError: Matrix is not positive definite")]
     assert explain(stopped, right, [("an unrelated mistake", stopped)]) == []
 
 
@@ -196,3 +196,11 @@ def test_diagnosis_tells_rows_too_many_and_too_few_and_swapped_columns() -> None
     assert cause(more) == ["match holds all that it should and 2 rows more; is a check left out?"]
     assert cause(pairs[:2]) == ["match lacks 1 rows and is right in the others; is a check too strict?"]
     assert cause(pairs[:, ::-1]) == ["match has its two columns swapped."]
+
+
+@pytest.mark.parametrize("answer", ["LinAlgError: Singular matrix", np.array([3e9, -1e9])])
+def test_diagnosis_knows_equations_without_a_unique_solution(answer: object) -> None:
+    (message,) = explain([Remembered("f", (), answer)], [Remembered("f", (), np.array([1.0, 2.0]))], [])
+    assert message.endswith(
+        "is something left out that ties the unknowns down, such as a prior or the noise?"
+    )
