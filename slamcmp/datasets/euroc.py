@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, require_fit, require_size
 from slamcmp.datasets.folders import find_folder, number_table, require_file, text_rows
+from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, Size, rectify, undistort
 from slamcmp.datasets.trajectories import nearest_rotations, ordered, poses_at, poses_from
@@ -137,9 +138,8 @@ def _pairs(
     left: _Camera, right: _Camera
 ) -> tuple[NDArray[np.int64], tuple[FrameFiles, ...], tuple[str, ...]]:
     """Left images, each with the right image of its instant."""
-    delays = np.abs(right.stamps[None, :] - left.stamps[:, None])
-    partner = np.argmin(delays, axis=1)
-    paired = np.flatnonzero(delays[np.arange(left.stamps.size), partner] <= MAX_DELAY_NS)
+    partner, delays = nearest_in_time(left.stamps, right.stamps)
+    paired = np.flatnonzero(delays <= MAX_DELAY_NS)
     if not paired.size:
         raise DataError(f"{right.files[1]}: no image is within 2 ms of one of {left.files[1]}")
     files = tuple(FrameFiles(left.images[k], right.images[partner[k]]) for k in paired)

@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import DepthFormat, FrameFiles, RecordedFrames, require_size
 from slamcmp.datasets.folders import find_folder, numbers, require_file, text_rows
+from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, undistort
 from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
+from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera
 
@@ -96,6 +98,8 @@ def _pairs(root: Path) -> Listing:
     known = root / "associations.txt"
     if known.is_file():
         rows = text_rows(known, 4)
+        if not rows:
+            raise DataError(f"{known}: names no pair of images")
         t = np.array([numbers(where, fields[:1])[0] for where, fields in rows])
         files = tuple(FrameFiles(root / fields[1], depth=root / fields[3]) for _, fields in rows)
         return t, files, [known], ()
@@ -103,12 +107,8 @@ def _pairs(root: Path) -> Listing:
     depth = require_file(root / "depth.txt", "the time stamps and names of the depth images")
     t, names = _list(colour)
     t_depth, depth_names = _list(depth)
-    order = np.argsort(t_depth, kind="stable")
-    after = np.clip(np.searchsorted(t_depth[order], t), 1, max(len(order) - 1, 1))
-    candidates = order[np.stack([after - 1, np.minimum(after, len(order) - 1)])]
-    delays = np.abs(t_depth[candidates] - t)
-    nearest = candidates[np.argmin(delays, axis=0), np.arange(t.size)]
-    paired = delays.min(axis=0) <= MAX_DELAY_S
+    nearest, delays = nearest_in_time(t, t_depth)
+    paired = delays <= MAX_DELAY_S
     files = tuple(
         FrameFiles(root / names[k], depth=root / depth_names[nearest[k]]) for k in np.flatnonzero(paired)
     )
@@ -121,6 +121,8 @@ def _pairs(root: Path) -> Listing:
 
 def _list(path: Path) -> tuple[FloatArray, list[str]]:
     rows = text_rows(path, 2)
+    if not rows:
+        raise DataError(f"{path}: names no image")
     return np.array([numbers(where, fields[:1])[0] for where, fields in rows]), [f[1] for _, f in rows]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from slamcmp.datasets.calibration_file import read_calibration
 from slamcmp.datasets.image_folder import image_folder
 from slamcmp.errors import DataError, MissingDataError, UsageError
+from slamcmp.experiment.config import load_experiment
 from slamcmp.geometry import exp, inverse, quaternion
-from slamcmp.models.camera import FORWARD_CAMERA
+from slamcmp.models.camera import FORWARD_CAMERA, StereoCamera
 from slamcmp.registry import sources
 from slamcmp.types import Log
 from tests.datasets.test_rectification import LEFT, RIGHT, T_LEFT_RIGHT
@@ -189,6 +192,18 @@ def test_a_stereo_pair_with_distortion_becomes_one_rectified_camera(tmp_path: Pa
 
 def _intrinsics(K: np.ndarray) -> list[float]:
     return [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])]
+
+
+def test_the_calibration_of_the_documentation_is_read(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "recorded-images.md"
+    experiment, calibration = re.findall(r"```yaml\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "calibration.yaml").write_text(calibration, encoding="utf-8")
+    (tmp_path / "experiment.yaml").write_text(experiment, encoding="utf-8")
+    read = read_calibration(tmp_path / "calibration.yaml")
+    assert isinstance(read.camera, StereoCamera)
+    assert read.camera.baseline_m == pytest.approx(0.11)
+    np.testing.assert_allclose(read.camera.T_body_camera, FORWARD_CAMERA, atol=1e-9)
+    assert load_experiment(tmp_path / "experiment.yaml").source.parameters["steps"] == 200
 
 
 def test_depth_in_its_own_units(tmp_path: Path) -> None:
