@@ -7,26 +7,12 @@ made this run worse. The parts depend on the order of the changes, which is ther
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 
 FloatArray = NDArray[np.float64]
-
-RESAMPLES = 4000
-"""Bootstrap samples: the interval's ends are then good to about 3 % of its width."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A median with its bootstrap interval."""
-
-    median: float
-    low: float
-    high: float
 
 
 def telescoped(scores: FloatArray) -> FloatArray:
@@ -42,19 +28,3 @@ def telescoped(scores: FloatArray) -> FloatArray:
     if scores.ndim != 2 or scores.shape[1] < 2:
         raise DataError(f"scores: shape {scores.shape} where (runs, at least 2 stages) is needed")
     return scores[:, :-1] - scores[:, 1:]
-
-
-def median_interval(values: FloatArray, *, share: float = 0.95, seed: int = 0) -> Interval:
-    """Median of independent runs (runs,) with its percentile bootstrap interval (Efron 1979).
-
-    Raises:
-        DataError: there is no value, or one is not finite.
-    """
-    values = np.asarray(values, dtype=np.float64)
-    if values.size == 0 or not np.isfinite(values).all():
-        raise DataError("median_interval: needs at least one value, all finite")
-    draws = np.random.default_rng(seed).integers(values.size, size=(RESAMPLES, values.size))
-    medians = np.median(values[draws], axis=1)
-    tail = (1.0 - share) / 2.0
-    low, high = np.quantile(medians, [tail, 1.0 - tail])
-    return Interval(float(np.median(values)), float(low), float(high))

@@ -14,9 +14,11 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from slamcmp.experiment.store import Results
-from slamcmp.metrics.attribution import Interval, median_interval, telescoped
+from slamcmp.metrics.attribution import telescoped
+from slamcmp.metrics.statistics import median_interval
 from slamcmp.registry import figures
 from slamcmp.report import style
+from slamcmp.report.numbers import interval_text
 from slamcmp.report.selection import NotDrawable, at_point, middle_point, point_name
 
 
@@ -39,10 +41,12 @@ class Stage:
     caption=(
         "From the EKF's online error to full smoothing's final one, one change at a time on the same "
         "streams: iterating the update, keeping a window of poses, pinning first estimates, keeping all "
-        "poses, and hindsight. Each part is the error it removes; below zero it adds error. The parts of a "
-        "run sum to its whole gap. Right: median over the runs with the 95 % bootstrap interval; medians "
-        "need not sum. Runs where any stage failed are left out."
+        "poses, and hindsight. Each part is the error it removes; below zero it adds error. The parts of "
+        "a run sum to its whole gap. Right and below: median over the runs, from six runs on with the "
+        "interval that covers the median of all possible runs with at least 95 %; medians need not sum. "
+        "Runs where any stage failed are left out."
     ),
+    table=lambda results: attribution_table(results),
 )
 def plot_attribution(results: Results) -> Figure:
     """Stacked parts of the gap for each run, and the median of each part with its interval."""
@@ -69,7 +73,7 @@ def plot_attribution(results: Results) -> Figure:
 
 
 def attribution_table(results: Results) -> pd.DataFrame:
-    """Median of each part and of the whole gap with bootstrap intervals [m], one row each, with their runs.
+    """Median of each part and of the whole gap with 95 % intervals [m], and how many runs it helped.
 
     Raises:
         NotDrawable: a stage is missing, or no run finished every stage.
@@ -77,11 +81,18 @@ def attribution_table(results: Results) -> pd.DataFrame:
     stages, scores, runs = stage_scores(results)
     rows = list(zip([stage.change for stage in stages[1:]], telescoped(scores).T, strict=True))
     rows.append(("whole gap", scores[:, 0] - scores[:, -1]))
-    intervals: list[tuple[str, Interval]] = [(name, median_interval(values)) for name, values in rows]
     return pd.DataFrame(
         [
-            {"part": name, "median_m": i.median, "low_m": i.low, "high_m": i.high, "runs": len(runs)}
-            for name, i in intervals
+            {
+                "part": name,
+                "error removed, median [m]": (interval := median_interval(values)).estimate,
+                "95 % of median [m]": interval_text(interval),
+                "least [m]": float(values.min()),
+                "most [m]": float(values.max()),
+                "runs it helped": int((values > 0).sum()),
+                "runs": len(runs),
+            }
+            for name, values in rows
         ]
     )
 
@@ -166,7 +177,7 @@ def _draw_medians(axes: Axes, stages: list[Stage], parts: NDArray[np.float64]) -
     names = [stage.change for stage in stages[1:]]
     for row, (values, colour) in enumerate(zip(parts.T, style.PALETTE, strict=False)):
         interval = median_interval(values)
-        axes.barh(row, interval.median, color=colour, height=0.6)
+        axes.barh(row, interval.estimate, color=colour, height=0.6)
         axes.plot([interval.low, interval.high], [row, row], color="#222222", linewidth=1.6)
     axes.axvline(0, color="#444444", linewidth=0.8)
     axes.set_yticks(range(len(names)), names)

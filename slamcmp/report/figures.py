@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import pandas as pd
 from matplotlib.figure import Figure
 
 from slamcmp.atomic import write_atomically
@@ -40,6 +41,8 @@ class Drawn:
     caption: str
     figure: Figure | None
     reason: str = ""
+    table: pd.DataFrame | None = None
+    """The figure's numbers, where it has a table of them."""
 
 
 def draw_figures(
@@ -88,7 +91,9 @@ def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterato
         with matplotlib.rc_context(style.RC):
             try:
                 figure = plugin.target(results)
-                drawn = Drawn(plugin.name, title, caption, figure)
+                make_table = plugin.traits.get("table")
+                table = None if make_table is None else make_table(results)
+                drawn = Drawn(plugin.name, title, caption, figure, table=table)
             except NotDrawable as reason:
                 drawn = Drawn(plugin.name, title, caption, None, str(reason))
             except Exception as error:

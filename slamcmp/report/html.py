@@ -19,7 +19,7 @@ from slamcmp.experiment.verdict import judge
 from slamcmp.report.cautions import cautions
 from slamcmp.report.certainty import certainty_table
 from slamcmp.report.faults import fault_table
-from slamcmp.report.figures import each_figure, fault_text, figure_bytes
+from slamcmp.report.figures import Drawn, each_figure, fault_text, figure_bytes
 from slamcmp.report.numbers import interval_text, number_text
 from slamcmp.report.published import order_rows, value_rows
 from slamcmp.report.selection import reference_name, swept_columns, value_text
@@ -52,6 +52,9 @@ class ReportFigure:
     source: str
     """A data URI."""
     reason: str
+    headers: tuple[str, ...] = ()
+    rows: tuple[list[Cell], ...] = ()
+    """Its numbers as a table, where there is one."""
 
 
 def write_report(results: Results, path: Path | str) -> Path:
@@ -168,7 +171,7 @@ def _search_text(manifest: Mapping[str, Any]) -> str:
     )
 
 
-def _embed(drawn: Any) -> ReportFigure:
+def _embed(drawn: Drawn) -> ReportFigure:
     source = ""
     if drawn.figure is not None:
         try:
@@ -178,7 +181,10 @@ def _embed(drawn: Any) -> ReportFigure:
         except Exception as error:
             return ReportFigure(drawn.name, drawn.title, drawn.caption, "", fault_text(error))
         source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-    return ReportFigure(drawn.name, drawn.title, drawn.caption, source, drawn.reason)
+    shown = ReportFigure(drawn.name, drawn.title, drawn.caption, source, drawn.reason)
+    if drawn.table is None:
+        return shown
+    return replace(shown, headers=tuple(drawn.table.columns), rows=tuple(_rows(drawn.table, [])))
 
 
 def _groups(names: list[str]) -> list[tuple[str, int]]:
