@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slamcmp.experiment.runner import Plan
+    from slamcmp.experiment.plan import Plan
     from slamcmp.experiment.store import Results
     from slamcmp.experiment.verdict import PublishedVerdict
 
@@ -52,7 +52,8 @@ def run(
         # It loads its modules while this process loads its own.
         warm_up()
     from slamcmp.experiment.config import load_experiment
-    from slamcmp.experiment.runner import plan_experiment, run_experiment
+    from slamcmp.experiment.plan import plan_experiment
+    from slamcmp.experiment.runner import run_experiment
     from slamcmp.experiment.shipped import find_experiment
 
     experiment = load_experiment(find_experiment(config))

@@ -13,8 +13,10 @@ import pytest
 
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment import runner
+from slamcmp.experiment.plan import plan_experiment
 from slamcmp.experiment.run_file import load_truth, save_truth
-from slamcmp.experiment.runner import plan_experiment, run_experiment
+from slamcmp.experiment.runner import run_experiment
+from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.store import TABLES, Results, load_results, locked
 from slamcmp.types import GroundTruth
 from tests.experiment.conftest import PLUGINS
@@ -305,7 +307,7 @@ def test_interrupted_run_keeps_what_is_done(
     write_experiment: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_experiment(back_ends=["DeadReckoning"], seeds=3)
-    finish = runner._Schedule._finish
+    finish = Schedule._finish
 
     def interrupt_after_three(self, ended) -> None:
         finish(self, ended)
@@ -313,7 +315,7 @@ def test_interrupted_run_keeps_what_is_done(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(runner._Schedule, "_finish", interrupt_after_three)
+        patched.setattr(Schedule, "_finish", interrupt_after_three)
         with pytest.raises(runner.Interrupted, match="3 jobs are left") as caught:
             run_experiment(path, folder=tmp_path / "r", jobs=1)
     assert caught.value.exit_code == 130

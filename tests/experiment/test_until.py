@@ -14,7 +14,9 @@ import pytest
 from slamcmp.errors import UsageError
 from slamcmp.experiment import runner
 from slamcmp.experiment.config import load_experiment
-from slamcmp.experiment.runner import plan_experiment, run_experiment
+from slamcmp.experiment.plan import plan_experiment
+from slamcmp.experiment.runner import run_experiment
+from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.schema import experiment_schema
 from slamcmp.experiment.stop_rule import StopRule
 from slamcmp.experiment.stop_search import describe_stop, precisions
@@ -131,7 +133,7 @@ def test_an_interrupted_search_goes_on_where_it_was(
     write_experiment: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = sweep_of(write_experiment, half_width=1e-6, max_seeds=12)
-    finish = runner._Schedule._finish
+    finish = Schedule._finish
     ended = []
 
     def interrupt_in_the_second_round(self, how) -> None:
@@ -141,7 +143,7 @@ def test_an_interrupted_search_goes_on_where_it_was(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(runner._Schedule, "_finish", interrupt_in_the_second_round)
+        patched.setattr(Schedule, "_finish", interrupt_in_the_second_round)
         with pytest.raises(runner.Interrupted):
             run_experiment(path, folder=tmp_path / "r", jobs=1)
     about = load_results(tmp_path / "r").manifest
