@@ -32,10 +32,13 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.backends.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.ekf_charts import Chart
+from slamcmp.backends.entries import Entries, entering, has_blind_side, placed, with_image
 from slamcmp.backends.filter_history import Correction, FrameEnd, Growth, History, Step
 from slamcmp.backends.linearisation import LatestEstimate
 from slamcmp.backends.unanchored import Linearisation, UnanchoredFilter, square_root
 from slamcmp.errors import DivergedError
+from slamcmp.models.sensors import entry_sensor
+from slamcmp.protocols import SensorModel
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
 FloatArray = NDArray[np.float64]
@@ -50,14 +53,15 @@ class ErrorStateEkf:
     """EKF-SLAM in a chart, linearised by a policy.
 
     Args:
-        problem: prior and sensor (d = n).
+        problem: prior and sensor.
         chart: what an error vector means.
         policy: where Jacobians are taken; other than at the latest estimate only in the world chart.
         new_landmarks: see :data:`NewLandmarks`.
         smooth: keep the history and offer ``trajectory()``.
 
     Raises:
-        DivergedError: an innovation covariance is not positive definite or not finite.
+        DivergedError: an innovation covariance is not positive definite or not finite, or most landmarks
+            that a camera sees are behind it.
     """
 
     trajectory: Callable[[], Trajectory]
@@ -72,7 +76,8 @@ class ErrorStateEkf:
         new_landmarks: NewLandmarks,
         smooth: bool,
     ) -> None:
-        self._sensor = problem.sensor
+        self._sensor, self._entry_sensor = problem.sensor, entry_sensor(problem.sensor)
+        self._has_blind_side = has_blind_side(problem.sensor)
         self._chart, self._policy = chart, policy
         self._join_first = new_landmarks == "join_first"
         self._T = np.array(problem.T_world_body)
@@ -82,7 +87,7 @@ class ErrorStateEkf:
         self._landmarks = np.empty((0, chart.n))
         self._number: dict[int, int] = {}
         self._k = -1
-        self._nis, self._nis_dof = 0.0, 0
+        self._nis, self._nis_dof, self._dropped = 0.0, 0, 0
         self.history: History | None = None
         if smooth:
             self.history = History(chart.p, chart.n)
@@ -93,15 +98,14 @@ class ErrorStateEkf:
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
         self._k = frame.k
-        self._nis, self._nis_dof = 0.0, 0
+        self._nis, self._nis_dof, self._dropped = 0.0, 0, 0
         self._points = None
         numbers = np.array(
             [self._number.get(landmark, -1) for landmark in frame.ids.tolist()], dtype=np.int64
         )
         if frame.k > 0:
             self._predict(frame, numbers[numbers >= 0])
-        if numbers.size:
-            self._observe(frame, numbers)
+        self._observe(frame, numbers)
         if self.history is not None:
             rows = self._P.columns(self._pose_states, self._chart.n).T.copy()
             self.history.events.append(FrameEnd(frame.t, self._T, rows))
@@ -139,11 +143,13 @@ class ErrorStateEkf:
         return sandwich(to_border, self._P.dense())
 
     def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the last frame with its degrees of freedom, and the number of landmarks."""
+        """NIS of the last frame with its degrees of freedom, landmarks, and how many of the frame's
+        measurements were dropped (entries.py)."""
         return {
             "nis": self._nis if self._nis_dof else float("nan"),
             "nis_dof": self._nis_dof,
             "landmarks": len(self._number),
+            "dropped": self._dropped,
         }
 
     def record_linearisation(self) -> None:
@@ -204,23 +210,39 @@ class ErrorStateEkf:
 
     def _observe(self, frame: Frame, numbers: IntArray) -> None:
         known = numbers >= 0
-        if known.all():
-            self._correct(numbers, frame.z, frame.R)
-            return
-        new = ~known
-        if self._join_first:
-            self._augment(frame.ids[new], frame.z[new], frame.R[new])
+        entries = entering(frame, ~known, self._sensor)
+        self._dropped = entries.dropped
+        if self._join_first and entries.ids.size:
+            self._augment(entries)
         if known.any():
-            self._correct(numbers[known], frame.z[known], frame.R[known])
-        if not self._join_first:
-            self._augment(frame.ids[new], frame.z[new], frame.R[new])
+            self._correct(*self._in_front(numbers[known], frame.z[known], frame.R[known]))
+        if not self._join_first and entries.ids.size:
+            self._augment(entries)
 
-    def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> FloatArray:
+    def _in_front(
+        self, numbers: IntArray, z: FloatArray, R: FloatArray
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The observations without those that a camera cannot have made if the estimate is right.
+
+        Raises:
+            DivergedError: they are most.
+        """
+        if not self._has_blind_side:
+            return numbers, z, R
+        exists = with_image(self._expected(numbers), self._k)
+        self._dropped += exists.size - int(exists.sum())
+        return numbers[exists], z[exists], R[exists]
+
+    def _expected(self, numbers: IntArray) -> FloatArray:
+        return self._sensor.predict(self._T, self._landmarks[numbers])
+
+    def _augment(self, entries: Entries) -> FloatArray:
         """New landmarks at their inverse observation, correlated with everything known; returns G (a, p)."""
-        positions = self._sensor.invert(self._T, z)
+        ids, R = entries.ids, entries.R
+        positions = placed(self._entry_sensor, self._T, entries, self._k)
         T_at, landmarks_at = self._policy.new(self._T, ids, positions)
         # 0 = H_pose e + H_land r - v, solved for r: no sensor needs a Jacobian of its inverse.
-        H_pose, H_land = self._jacobians(T_at, landmarks_at)
+        H_pose, H_land = self._jacobians(self._entry_sensor, T_at, landmarks_at)
         H_inv = np.linalg.inv(H_land)
         G = -(H_inv @ H_pose).reshape(-1, self._chart.p)
         self._grow(ids, positions, G, block_diagonal(H_inv @ R @ np.swapaxes(H_inv, 1, 2)))
@@ -243,13 +265,15 @@ class ErrorStateEkf:
         y = self._sensor.residual(z, self._sensor.predict(self._T, seen)).ravel()
         T_at, landmarks_at = self._policy.known(self._T, numbers, seen)
         self._points = T_at, landmarks_at, numbers
-        H_pose, H_land = self._jacobians(T_at, landmarks_at)
+        H_pose, H_land = self._jacobians(self._sensor, T_at, landmarks_at)
         dx = self._condition(self._touched(numbers), y, stacked(H_pose, H_land), block_diagonal(R))
         self._T, self._landmarks = self._chart.retract(self._T, self._landmarks, dx)
 
-    def _jacobians(self, T: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _jacobians(
+        self, sensor: SensorModel, T: FloatArray, landmarks: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """The sensor's Jacobians in the chart, (m, d, p) and (m, d, n)."""
-        H_pose, H_land = self._sensor.jacobians(T, landmarks)
+        H_pose, H_land = sensor.jacobians(T, landmarks)
         A, B, C = self._chart.to_body(T), self._chart.offsets(T, landmarks), self._chart.axes(T)
         if A is not None:
             H_pose = H_pose @ A

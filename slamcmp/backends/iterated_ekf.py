@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from slamcmp.backends.covariance import block_diagonal
 from slamcmp.backends.ekf_charts import WorldChart
+from slamcmp.backends.entries import entering
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, stacked
 from slamcmp.backends.filter_history import Step
 from slamcmp.backends.linearisation import LatestEstimate
@@ -72,7 +73,7 @@ class IteratedEkf(ErrorStateEkf):
         s = np.zeros(p + landmarks_prior.size)
         if known.any():
             s_linear, touched, y, H, R = self._last_linearisation(
-                numbers[known], frame.z[known], frame.R[known]
+                *self._in_front(numbers[known], frame.z[known], frame.R[known])
             )
             s = self._condition(touched, y, H, R)
             J = self._carried(s_linear)
@@ -84,10 +85,11 @@ class IteratedEkf(ErrorStateEkf):
                 self._unanchored.move(J)
             T_linear = self._chart.retract(T_prior, landmarks_prior[:0], s_linear[:p])[0]
             since = J @ (s[:p] - s_linear[:p])
-        new = ~known
-        if new.any():
+        entries = entering(frame, ~known, self._sensor)
+        self._dropped += entries.dropped
+        if entries.ids.size:
             self._T = T_linear
-            G = self._augment(frame.ids[new], frame.z[new], frame.R[new])
+            G = self._augment(entries)
             s = np.concatenate([s, G @ since])
             landmarks_prior = self._landmarks
         self._T, self._landmarks = self._chart.retract(T_prior, landmarks_prior, s)
@@ -106,7 +108,7 @@ class IteratedEkf(ErrorStateEkf):
         for remaining in reversed(range(self._iterations)):
             T, seen = self._chart.retract(self._T, seen_prior, s)
             self._points = T, seen, numbers
-            H_pose, H_land = self._jacobians(T, seen)
+            H_pose, H_land = self._jacobians(self._sensor, T, seen)
             H = stacked(H_pose @ self._carried(s), H_land)
             y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s
             if remaining:

@@ -26,6 +26,7 @@ from scipy.linalg import block_diag
 
 from slamcmp.backends.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.ekf_charts import RobocentricChart
+from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, NewLandmarks, stacked
 from slamcmp.backends.filter_history import FrameEnd, Growth, Remap
 from slamcmp.backends.linearisation import LatestEstimate
@@ -66,7 +67,7 @@ class RobocentricEkf(ErrorStateEkf):
         """Let the increment join the state, take in the observations, then move to the frame's pose."""
         p = self._chart.p
         self._k = frame.k
-        self._nis, self._nis_dof = 0.0, 0
+        self._nis, self._nis_dof, self._dropped = 0.0, 0, 0
         self._points = None
         self._U = np.array(frame.T_prev_body)
         self._q = transform(inverse(self._T), self._landmarks)
@@ -79,24 +80,26 @@ class RobocentricEkf(ErrorStateEkf):
         if self._unanchored is not None:
             self._w_root = square_root(frame.Q)
             self._unanchored.shake(p)
-        if frame.ids.size:
-            numbers = np.array([self._number.get(name, -1) for name in frame.ids.tolist()], dtype=np.int64)
-            self._observe(frame, numbers)
+        numbers = np.array([self._number.get(name, -1) for name in frame.ids.tolist()], dtype=np.int64)
+        self._observe(frame, numbers)
         self._compose()
         if self.history is not None:
             rows = self._P.columns(self._pose_states, self._chart.n).T.copy()
             self.history.events.append(FrameEnd(frame.t, self._T, rows))
 
-    def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> FloatArray:
-        q = self._sensor.invert(self._U, z)
-        H_pose, H_land = self._sensor.jacobians(self._U, q)
+    def _expected(self, numbers: IntArray) -> FloatArray:
+        return self._sensor.predict(self._U, self._q[numbers])
+
+    def _augment(self, entries: Entries) -> FloatArray:
+        q = placed(self._entry_sensor, self._U, entries, self._k)
+        H_pose, H_land = self._entry_sensor.jacobians(self._U, q)
         H_inv = np.linalg.inv(H_land)
         w_states = slice(self._w_at, self._w_at + self._chart.p)
         G = np.zeros((q.size, self._P.size))
         G[:, w_states] = -(H_inv @ H_pose).reshape(q.size, -1)
         P = self._P.dense()
         rows = G @ P
-        N = block_diagonal(H_inv @ R @ np.swapaxes(H_inv, 1, 2))
+        N = block_diagonal(H_inv @ entries.R @ np.swapaxes(H_inv, 1, 2))
         self._P = JointCovariance(np.block([[P, rows.T], [rows, rows @ G.T + N]]))
         if self.history is not None:
             self.history.events.append(Growth(np.zeros((q.size, self._chart.p))))
@@ -107,7 +110,7 @@ class RobocentricEkf(ErrorStateEkf):
             self._unanchored.grow(np.zeros((q.size, self._chart.p)), N, G[:, w_states] @ self._w_root)
         count = len(self._number)
         self._q = np.concatenate([self._q, q])
-        for offset, landmark in enumerate(ids.tolist()):
+        for offset, landmark in enumerate(entries.ids.tolist()):
             self._number[landmark] = count + offset
         return G
 

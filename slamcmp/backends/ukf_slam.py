@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from slamcmp.backends.covariance import block_diagonal
 from slamcmp.backends.ekf_charts import Chart, LeftInvariantChart, RightInvariantChart, WorldChart
+from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filter_history import Step
 from slamcmp.backends.linearisation import LatestEstimate
@@ -107,19 +108,21 @@ class UkfSlam(ErrorStateEkf):
         if self._unanchored is not None:
             self._unanchored.move(F, None, square_root(noise))
 
-    def _augment(self, ids: IntArray, z: FloatArray, R: FloatArray) -> FloatArray:
-        p, d, m = self._chart.p, self._sensor.dim, ids.size
-        positions = self._sensor.invert(self._T, z)
+    def _augment(self, entries: Entries) -> FloatArray:
+        ids, z, R, _ = entries
+        sensor = self._entry_sensor
+        p, d, m = self._chart.p, sensor.dim, ids.size
+        positions = placed(sensor, self._T, entries, self._k)
 
-        def placed(errors: FloatArray) -> FloatArray:
+        def entered(errors: FloatArray) -> FloatArray:
             poses = self._chart.retract(self._T, self._landmarks[:0], errors[:, :p])[0]
             noisy = z + errors[:, p:].reshape(-1, m, d)
-            landmarks = self._sensor.invert(poses[:, None], noisy)
+            landmarks = sensor.invert(poses[:, None], noisy)
             return self._chart.errors(self._T, positions, poses, landmarks)[:, p:]
 
         P = np.zeros((p + m * d, p + m * d))
         P[:p, :p], P[p:, p:] = self._P.pose_block(), block_diagonal(R)
-        _, H, Omega = self._regression(placed, P)
+        _, H, Omega = self._regression(entered, P)
         G, D = H[:, :p], H[:, p:]
         self._grow(ids, positions, G, D @ P[p:, p:] @ D.T + Omega)
         return G
