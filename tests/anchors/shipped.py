@@ -11,6 +11,7 @@ from slamcmp.experiment.config import load_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.shipped import find_experiment
 from slamcmp.experiment.verdict import PublishedVerdict, judge
+from tests.anchors.reference import assert_reproduces
 
 
 def verdict_of(
@@ -21,7 +22,10 @@ def verdict_of(
     labels: Sequence[str] | None = None,
     source: dict[str, Any] | None = None,
 ) -> PublishedVerdict:
-    """What comes out of ``experiments/anchors/NAME.yaml``: on its first seeds, with some of its back ends."""
+    """What comes out of ``experiments/anchors/NAME.yaml``: on its first seeds, with some of its back ends.
+
+    The whole of it has to give what stands in ``results/reference/``.
+    """
     experiment = load_experiment(find_experiment(f"anchors/{name}"))
     for parameter, value in (source or {}).items():
         experiment = replace(experiment, source=experiment.source.with_parameter(parameter, value))
@@ -39,11 +43,14 @@ def verdict_of(
         experiment = replace(experiment, back_ends=kept, published=fewer)
     if runs is not None:
         experiment = experiment.with_seeds(range(runs))
+    whole = runs is None and labels is None and source is None
     results = run_experiment(experiment, folder=folder, executor="serial")
     assert (results.trials["status"] == "ok").all()
     verdict = judge(results)
     assert verdict is not None
     print(verdict.sentence())
+    if whole:
+        assert_reproduces(results, f"anchors_{name}")
     return verdict
 
 

@@ -1,8 +1,10 @@
-"""P4, the 3-D study of Zhang, Wu and Huang 2017, on a small world: who stays consistent at 5 % noise."""
+"""P4, the 3-D study of Zhang, Wu and Huang 2017: who stays consistent in space."""
 
 from __future__ import annotations
 
 from pathlib import Path
+
+import pytest
 
 from tests.anchors.shipped import verdict_of
 
@@ -17,3 +19,15 @@ def test_p4_right_invariant_stays_consistent_and_the_standard_filter_does_not(tm
     # chi²_30 / 30, were a run's error the same at all times: 99.9 % within [0.35, 2.1].
     assert 0.35 < nees["right-invariant EKF"] < 2.1
     assert nees["SO(3)xR EKF"] > nees["right-invariant EKF"]
+
+
+@pytest.mark.slow
+def test_p4_right_invariant_and_standard_filter_come_out_as_published(tmp_path: Path) -> None:
+    """100 runs at 1 % and 5 %: RMSE within 15 %, NEES within 25 %. FEJ and robocentric filters, which their
+    authors coded in ways of their own, come out better than published here."""
+    verdict = verdict_of("p4", tmp_path)
+    for value in verdict.values:
+        if value.label in ("right-invariant EKF", "SO(3)xR EKF"):
+            assert abs(value.deviation) < (0.15 if "rmse" in value.metric else 0.25), value
+    for order in verdict.orders:
+        assert order.verdict != "violated", order
