@@ -22,6 +22,7 @@ from scipy.special import chdtrc, chdtri
 
 from slamcmp.geometry import inverse, local
 from slamcmp.metrics.consistency import nees_series, quadratic_forms
+from slamcmp.protocols import SensorModel
 from slamcmp.types import FloatArray, GroundTruth, MeasurementStream, Run
 
 WINDOW = 10
@@ -144,12 +145,29 @@ def _window_sums(series: FloatArray) -> FloatArray:
     return total
 
 
-def _sightings(stream: MeasurementStream, last: int) -> dict[int, list[tuple[int, int]]]:
-    """Of each landmark the (frame, row) of its observations up to frame ``last``, in order."""
-    found: dict[int, list[tuple[int, int]]] = {}
+@dataclass(frozen=True)
+class _Sighting:
+    """One measurement that places a landmark."""
+
+    k: int
+    sensor: SensorModel
+    z: FloatArray
+    R: FloatArray
+
+
+def _sightings(stream: MeasurementStream, last: int) -> dict[int, list[_Sighting]]:
+    """Of each landmark what placed it up to frame ``last``, in order.
+
+    A sensor whose measurement places none has its landmarks' entries for that.
+    """
+    sensor = stream.problem.sensor
+    by: SensorModel | None = getattr(sensor, "entry_sensor", None)
+    found: dict[int, list[_Sighting]] = {}
     for frame in stream.frames[: last + 1]:
-        for row, landmark in enumerate(frame.ids.tolist()):
-            found.setdefault(landmark, []).append((frame.k, row))
+        seen = frame if by is None else frame.entries
+        if seen is not None:
+            for landmark, z, R in zip(seen.ids.tolist(), seen.z, seen.R, strict=True):
+                found.setdefault(landmark, []).append(_Sighting(frame.k, by or sensor, z, R))
     return found
 
 
@@ -158,7 +176,7 @@ def _worst_of_frame(
     run: Run,
     truth: GroundTruth | None,
     k: int,
-    sightings: dict[int, list[tuple[int, int]]],
+    sightings: dict[int, list[_Sighting]],
 ) -> Suspect | None:
     frame, sensor = stream.frames[k], stream.problem.sensor
     before = run.online.T_world_body[k - 1] if k else stream.problem.T_world_body
@@ -167,7 +185,7 @@ def _worst_of_frame(
         return None
     worst: tuple[float, int, int, FloatArray, FloatArray] | None = None
     for row, landmark in enumerate(frame.ids.tolist()):
-        placed = _place(stream, run, [each for each in sightings[landmark] if each[0] < k])
+        placed = _place(run, [each for each in sightings.get(landmark, []) if each.k < k])
         if placed is None:
             continue
         position, spread = placed
@@ -197,17 +215,15 @@ def _worst_of_frame(
     )
 
 
-def _place(
-    stream: MeasurementStream, run: Run, earlier: list[tuple[int, int]]
-) -> tuple[FloatArray, FloatArray] | None:
+def _place(run: Run, earlier: list[_Sighting]) -> tuple[FloatArray, FloatArray] | None:
     """Mean of a landmark's earlier sightings, weighted by the sensor's noise, and its covariance."""
-    n = stream.problem.sensor.space_dim
+    n = run.online.T_world_body.shape[-1] - 1
     information, total = np.zeros((n, n)), np.zeros(n)
-    for k, row in earlier:
-        frame, T = stream.frames[k], run.online.T_world_body[k]
-        position = stream.problem.sensor.invert(T, frame.z[row])
-        _, by_landmark = stream.problem.sensor.jacobians(T, position)
-        weight = by_landmark.T @ np.linalg.solve(frame.R[row], by_landmark)
+    for each in earlier:
+        T = run.online.T_world_body[each.k]
+        position = each.sensor.invert(T, each.z)
+        _, by_landmark = each.sensor.jacobians(T, position)
+        weight = by_landmark.T @ np.linalg.solve(each.R, by_landmark)
         if np.isfinite(position).all() and np.isfinite(weight).all():
             information += weight
             total += weight @ position

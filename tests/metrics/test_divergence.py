@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from slamcmp.backends.dead_reckoning import DeadReckoning
 from slamcmp.backends.ekf_slam import EkfSlam
 from slamcmp.experiment.run_back_end import run_back_end
 from slamcmp.geometry import se2
@@ -19,7 +20,8 @@ from slamcmp.metrics.divergence import (
     find_suspect,
     first_departure,
 )
-from slamcmp.types import GroundTruth, MeasurementStream, Run
+from slamcmp.models.camera import MonoCamera
+from slamcmp.types import Detections, Frame, GroundTruth, MeasurementStream, Problem, Run
 from tests.toy_stream import toy_stream
 
 FAULT_AT = 40
@@ -39,6 +41,34 @@ def changed(stream: MeasurementStream, k: int, **fields: object) -> MeasurementS
 
 def run_ekf(stream: MeasurementStream) -> Run:
     return run_back_end(EkfSlam, stream, label="EKF", parameters={})
+
+
+def test_an_outlier_of_a_single_camera_is_found_by_where_landmarks_entered() -> None:
+    """A pixel alone places nothing: what the entries say counts instead."""
+    rng = np.random.default_rng(5)
+    camera = MonoCamera(fx_px=400.0, fy_px=400.0, cx_px=320.0, cy_px=240.0)
+    points = rng.uniform([6, -2, -1], [12, 2, 1], (8, 3))
+    ids = np.arange(8)
+    poses = np.tile(np.eye(4), (12, 1, 1))
+    poses[:, 0, 3] = 0.1 * np.arange(12)
+    frames = []
+    for k, T in enumerate(poses):
+        moved = poses[1] if k else np.eye(4)
+        z = camera.predict(T, points) if k else np.empty((0, 2))
+        if k == 9:
+            z[3] += [0.0, 40.0]
+        by = camera.entry_sensor
+        entries = None if k else Detections(by.predict(T, points), np.tile(np.eye(3) * 0.01, (8, 1, 1)), ids)
+        R = np.tile(np.eye(2), (len(z), 1, 1))
+        frames.append(
+            Frame(k, 0.1 * k, moved, np.eye(6) * (1e-6 if k else 0.0), ids[: len(z)], z, R, entries)
+        )
+    stream = MeasurementStream(Problem(poses[0], 1e-12 * np.eye(6), camera), tuple(frames))
+    run = run_back_end(DeadReckoning, stream, label="odometry", parameters={})
+    suspect = find_suspect(stream, run, None, 10)
+    assert suspect is not None
+    assert (suspect.k, suspect.landmark, suspect.component) == (9, 3, "v_px")
+    assert suspect.residual == pytest.approx(40.0)
 
 
 def test_an_outlier_is_named_with_its_frame_and_landmark() -> None:
