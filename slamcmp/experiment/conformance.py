@@ -10,15 +10,8 @@ from typing import Any
 import numpy as np
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.conformance_checks import (
-    CHECKS,
-    COMMON,
-    ESSENTIAL,
-    WORLDS,
-    Bench,
-    CheckFailedError,
-    make_world,
-)
+from slamcmp.experiment.conformance_bench import COMMON, WORLDS, Bench, make_world
+from slamcmp.experiment.conformance_checks import CHECKS, ESSENTIAL, CheckFailedError
 from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends
 from slamcmp.types import GroundTruth, Problem

@@ -7,18 +7,16 @@ covariance in world axes, an update that looks ahead, an innovation that is not 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from slamcmp.geometry import adjoint_of_inverse, dead_reckoning, local
-from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Smoother
-from slamcmp.registry import front_ends, sources
-from slamcmp.types import Estimate, Frame, GroundTruth, Landmarks, MeasurementStream, Problem, Trajectory
+from slamcmp.experiment.conformance_bench import Bench, blind, feed, reckoned, run
+from slamcmp.geometry import adjoint_of_inverse, local
+from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
+from slamcmp.types import Estimate, GroundTruth, Landmarks, MeasurementStream, Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -32,106 +30,9 @@ OPEN_SHARE = 0.8
 """The same for one that does not (trait ``closes_loops=False``): its error still grows with the path. Batch
 estimation on the tracks of the MSCKF, each sight of a landmark a new landmark, keeps 0.66 here."""
 
-WORLDS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("range-bearing", {"sensor": "range_bearing"}),
-    ("relative-position", {"sensor": "relative_position"}),
-    (
-        "relative-position, known heading",
-        {"sensor": "relative_position", "turn_sigma_deg_s": 1e-6, "prior_heading_sigma_rad": 1e-9},
-    ),
-)
-"""Kinds of problem, the first of which that the back end accepts is the one it is checked on."""
-
-COMMON: dict[str, Any] = {
-    "steps": 70,
-    "landmarks": 15,
-    "prior_position_sigma_m": 0.01,
-    "prior_heading_sigma_rad": 0.002,
-}
-
 
 class CheckFailedError(Exception):
     """A property does not hold; the text says what was seen and the likely cause."""
-
-
-@dataclass(frozen=True)
-class Bench:
-    """What a check works on."""
-
-    make: Callable[[Problem, GroundTruth], BackEnd]
-    kind: str
-    settings: Mapping[str, Any]
-    stream: MeasurementStream
-    truth: GroundTruth
-    closes_loops: bool = True
-    """Whether it knows places again, which its trait of this name says."""
-
-    def new(self, stream: MeasurementStream, truth: GroundTruth | None = None) -> BackEnd:
-        """A back end for a stream; one that needs the truth gets the bench's unless told another."""
-        return self.make(stream.problem, self.truth if truth is None else truth)
-
-    def world(self, seed: int) -> tuple[MeasurementStream, GroundTruth]:
-        return make_world(self.settings, seed)
-
-
-def make_world(settings: Mapping[str, Any], seed: int) -> tuple[MeasurementStream, GroundTruth]:
-    log = sources.get("circle").target(seed, **settings)
-    stream: MeasurementStream = front_ends.get("labelled").target(log, seed)
-    # Names that are no indices, a frame without sight, and a landmark that comes late: what real logs do.
-    frames = []
-    for frame in stream.frames:
-        keep = np.zeros(frame.ids.size, dtype=bool) if frame.k == 11 else np.ones(frame.ids.size, dtype=bool)
-        frames.append(
-            Frame(
-                frame.k,
-                frame.t,
-                frame.T_prev_body,
-                frame.Q,
-                _renamed(frame.ids[keep]),
-                frame.z[keep],
-                frame.R[keep],
-            )
-        )
-    truth: GroundTruth = log.truth
-    renamed = GroundTruth(truth.t, truth.T_world_body, _renamed(truth.ids), truth.positions)
-    return MeasurementStream(stream.problem, tuple(frames)), renamed
-
-
-def _renamed(ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    return 1_000_003 * (ids + 1)
-
-
-def _feed(
-    bench: Bench, stream: MeasurementStream, truth: GroundTruth | None = None
-) -> Iterator[tuple[Frame, Estimate]]:
-    back_end = bench.new(stream, truth)
-    for frame in stream.frames:
-        back_end.update(frame)
-        yield frame, back_end.estimate()
-
-
-def _run(
-    bench: Bench, stream: MeasurementStream, truth: GroundTruth | None = None
-) -> tuple[FloatArray, FloatArray]:
-    estimates = [estimate for _, estimate in _feed(bench, stream, truth)]
-    return (
-        np.stack([estimate.T_world_body for estimate in estimates]),
-        np.stack([estimate.P for estimate in estimates]),
-    )
-
-
-def _blind(stream: MeasurementStream) -> MeasurementStream:
-    """The stream without its observations."""
-    d = stream.problem.sensor.dim
-    none = np.empty(0, dtype=np.int64), np.empty((0, d)), np.empty((0, d, d))
-    frames = tuple(Frame(f.k, f.t, f.T_prev_body, f.Q, *none) for f in stream.frames)
-    return MeasurementStream(stream.problem, frames)
-
-
-def _reckoned(stream: MeasurementStream) -> FloatArray:
-    """The poses (K, n+1, n+1) by odometry alone."""
-    increments = np.stack([frame.T_prev_body for frame in stream.frames])
-    return dead_reckoning(stream.problem.T_world_body, increments)
 
 
 def _require(condition: bool, message: str) -> None:
@@ -141,7 +42,7 @@ def _require(condition: bool, message: str) -> None:
 
 def check_shapes(bench: Bench) -> str:
     """answers with an Estimate of finite numbers after every frame"""
-    for frame, estimate in _feed(bench, bench.stream):
+    for frame, estimate in feed(bench, bench.stream):
         _require(
             isinstance(estimate, Estimate),
             f"estimate() returned {type(estimate).__name__}; return slamcmp.types.Estimate(T_world_body, P)",
@@ -161,7 +62,7 @@ def check_shapes(bench: Bench) -> str:
 def check_rigid(bench: Bench) -> str:
     """keeps T_world_body a rigid transform"""
     worst = 0.0
-    for frame, estimate in _feed(bench, bench.stream):
+    for frame, estimate in feed(bench, bench.stream):
         R = estimate.T_world_body[:-1, :-1]
         off = float(np.abs(R.T @ R - np.eye(len(R))).max())
         last_row = np.append(np.zeros(len(R)), 1.0)
@@ -176,7 +77,7 @@ def check_rigid(bench: Bench) -> str:
 def check_covariance(bench: Bench) -> str:
     """keeps P symmetric and positive definite"""
     smallest = np.inf
-    for frame, estimate in _feed(bench, bench.stream):
+    for frame, estimate in feed(bench, bench.stream):
         P = estimate.P
         asymmetry = float(np.abs(P - P.T).max() / np.abs(P).max())
         _require(
@@ -195,8 +96,8 @@ def check_covariance(bench: Bench) -> str:
 
 def check_prior(bench: Bench) -> str:
     """starts at the prior"""
-    stream = _blind(bench.stream)
-    estimate = next(_feed(bench, stream))[1]
+    stream = blind(bench.stream)
+    estimate = next(feed(bench, stream))[1]
     shift = float(np.abs(local(stream.problem.T_world_body, estimate.T_world_body)).max())
     _require(
         shift < 1e-9,
@@ -211,9 +112,9 @@ def check_prior(bench: Bench) -> str:
 
 def check_odometry(bench: Bench) -> str:
     """follows odometry alone exactly"""
-    stream = _blind(bench.stream)
-    poses, _ = _run(bench, stream)
-    off = np.abs(poses - _reckoned(stream)).max(axis=(1, 2))
+    stream = blind(bench.stream)
+    poses, _ = run(bench, stream)
+    off = np.abs(poses - reckoned(stream)).max(axis=(1, 2))
     first = int(np.argmax(off > 1e-6))
     _require(
         bool(off.max() <= 1e-6),
@@ -224,10 +125,10 @@ def check_odometry(bench: Bench) -> str:
 
 def check_chart(bench: Bench) -> str:
     """reports P in the body tangent, order (x, y, heading)"""
-    stream = _blind(bench.stream)
+    stream = blind(bench.stream)
     # With the estimate itself for a truth, Jacobians at the truth obey the closed form too.
-    truth = GroundTruth(bench.truth.t, _reckoned(stream), bench.truth.ids, bench.truth.positions)
-    poses, covariances = _run(bench, stream, truth)
+    truth = GroundTruth(bench.truth.t, reckoned(stream), bench.truth.ids, bench.truth.positions)
+    poses, covariances = run(bench, stream, truth)
     P = stream.problem.P
     for frame, T, reported in zip(stream.frames, poses, covariances, strict=True):
         if frame.k:
@@ -253,7 +154,7 @@ def check_chart(bench: Bench) -> str:
 
 def check_deterministic(bench: Bench) -> str:
     """gives the same answer twice"""
-    first, second = _run(bench, bench.stream), _run(bench, bench.stream)
+    first, second = run(bench, bench.stream), run(bench, bench.stream)
     same = np.array_equal(first[0], second[0]) and np.array_equal(first[1], second[1])
     _require(same, "two runs differ: unseeded random numbers, or state kept outside the instance")
     return "bit for bit"
@@ -266,8 +167,8 @@ def check_causal(bench: Bench) -> str:
     mixed = MeasurementStream(
         bench.stream.problem, bench.stream.frames[:half] + other.frames[half : len(bench.stream.frames)]
     )
-    poses, covariances = _run(bench, bench.stream)
-    mixed_poses, mixed_covariances = _run(bench, mixed)
+    poses, covariances = run(bench, bench.stream)
+    mixed_poses, mixed_covariances = run(bench, mixed)
     _require(
         np.array_equal(poses[:half], mixed_poses[:half])
         and np.array_equal(covariances[:half], mixed_covariances[:half]),
@@ -299,21 +200,21 @@ def check_estimate_is_pure(bench: Bench) -> str:
 
 def check_accuracy(bench: Bench) -> str:
     """uses its observations"""
-    errors, blind_errors = [], []
+    errors, guesses = [], []
     for seed in range(SEEDS):
         stream, truth = bench.world(seed)
         T_true = truth.T_world_body[-1]
-        *_, (_, estimate) = _feed(bench, stream, truth)
-        reckoned = _reckoned(stream)[-1]
+        *_, (_, estimate) = feed(bench, stream, truth)
+        T_reckoned = reckoned(stream)[-1]
         errors.append(np.linalg.norm(estimate.T_world_body[:-1, -1] - T_true[:-1, -1]))
-        blind_errors.append(np.linalg.norm(reckoned[:-1, -1] - T_true[:-1, -1]))
-    error, blind = float(np.median(errors)), float(np.median(blind_errors))
+        guesses.append(np.linalg.norm(T_reckoned[:-1, -1] - T_true[:-1, -1]))
+    error, guess = float(np.median(errors)), float(np.median(guesses))
     _require(
-        error < (LOOP_SHARE if bench.closes_loops else OPEN_SHARE) * blind,
-        f"median final error over {SEEDS} seeds is {error:.3f} m, dead reckoning's {blind:.3f} m; typical "
+        error < (LOOP_SHARE if bench.closes_loops else OPEN_SHARE) * guess,
+        f"median final error over {SEEDS} seeds is {error:.3f} m, dead reckoning's {guess:.3f} m; typical "
         "causes: a bearing innovation that is not wrapped, a wrong sign in H, landmarks confused",
     )
-    return f"median final error {error:.3f} m, dead reckoning {blind:.3f} m"
+    return f"median final error {error:.3f} m, dead reckoning {guess:.3f} m"
 
 
 def check_consistency(bench: Bench) -> str:
@@ -321,7 +222,7 @@ def check_consistency(bench: Bench) -> str:
     nees, dimension = [], bench.stream.problem.P.shape[0]
     for seed in range(SEEDS):
         stream, truth = bench.world(seed)
-        *_, (_, estimate) = _feed(bench, stream, truth)
+        *_, (_, estimate) = feed(bench, stream, truth)
         error = local(estimate.T_world_body, truth.T_world_body[-1])
         nees.append(float(error @ np.linalg.solve(estimate.P, error)))
     mean = float(np.mean(nees))
