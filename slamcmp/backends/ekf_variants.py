@@ -27,7 +27,10 @@ from slamcmp.types import GroundTruth, Problem
 
 @back_ends.register("ekf_world")
 class WorldEkf(ErrorStateEkf):
-    """The textbook EKF-SLAM: error additive in the world, Jacobians at the latest estimate."""
+    """The textbook EKF-SLAM: error additive in the world, Jacobians at the latest estimate.
+
+    The numbers of ``ekf_slam``; with ``smooth`` it is that filter's fair partner in hindsight.
+    """
 
     def __init__(
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
