@@ -264,11 +264,11 @@ def _departure_text(departure: Departure, t: float) -> str:
     if departure.test == "NIS":
         return (
             f"The innovations left their band {where}: NIS over {departure.window} frames was "
-            f"{departure.value:.3g}, where a consistent run of this length stays below {departure.limit:.3g}."
+            f"{departure.value:.4g}, where a consistent run of this length stays below {departure.limit:.4g}."
         )
     return (
-        f"The pose error left its band {where}: NEES was {departure.value:.3g}, where a consistent run of "
-        f"this length stays below {departure.limit:.3g}: the covariance promised more than it kept."
+        f"The pose error left its band {where}: NEES was {departure.value:.4g}, where a consistent run of "
+        f"this length stays below {departure.limit:.4g}: the covariance promised more than it kept."
     )
 
 

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slamcmp.experiment.store import Results
-from slamcmp.metrics.observability import NULLITY, TURN
+from slamcmp.metrics.information import KL
+from slamcmp.metrics.observability import NULLITY, SHIFT, TURN
 from slamcmp.registry import figures
 from slamcmp.report import style
 from slamcmp.report.selection import NotDrawable, at_point, has_values, labels, middle_point, point_name
@@ -38,6 +39,7 @@ ROUNDING = 1e-6
         "at this price. Medians over the runs that are ok, at the frames that were looked at; where none "
         "of them sees a known landmark there is no distance."
     ),
+    table=lambda results: observability_table(results),
 )
 def plot_observability(results: Results) -> Figure:
     """Nullity, spurious information on the heading and drift of the Jacobians' points over time."""
@@ -56,6 +58,32 @@ def plot_observability(results: Results) -> Figure:
     shown = [label for label in labels(results) if has_values(frames[frames["label"] == label], [NULLITY])]
     style.legend_below(figure, [style.line_key(label, **look(results, label)) for label in shown], columns=4)
     return figure
+
+
+def observability_table(results: Results) -> pd.DataFrame:
+    """One row per back end that told: medians over its runs that are ok at the middle grid point."""
+    trials = at_point(results.trials, middle_point(results))
+    trials = trials[trials["status"] == "ok"]
+    rows = []
+    for label in labels(results):
+        own = trials[trials["label"] == label]
+        if not has_values(own, [NULLITY]):
+            continue
+        found, turn = sorted(own[NULLITY].dropna().astype(int).unique()), float(own[TURN].median())
+        rows.append(
+            {
+                "back end": label,
+                "nullity at the end": " or ".join(str(value) for value in found),
+                "spurious information on turns [1/rad²]": turn,
+                "as a compass of σ [deg]": math.degrees(turn**-0.5) if turn > ROUNDING else math.nan,
+                "on shifts [1/m²]": float(own[SHIFT].median()),
+                "Jacobian drift [m]": float(own["linearisation_drift"].median()),
+                **({"KL from batch [nat]": float(own[f"{KL}_median"].median())} if KL in own else {}),
+                "online pose NEES": float(own["online_pose_nees"].median()),
+                "runs": len(own),
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 def ok_frames(results: Results) -> tuple[pd.DataFrame, str]:

@@ -12,7 +12,7 @@ import pytest
 from slamcmp.experiment.store import Results
 from slamcmp.report import style
 from slamcmp.report.divergence_figure import plot_kl_from_batch
-from slamcmp.report.observability_figure import median_series, plot_observability
+from slamcmp.report.observability_figure import median_series, observability_table, plot_observability
 from slamcmp.report.selection import NotDrawable
 from tests.report.conftest import FRAMES, circle, make_run
 
@@ -72,6 +72,19 @@ def test_observability_draws_the_medians_of_its_series(studied: Results) -> None
     named = dict(zip([t.get_text() for t in compass.get_yticklabels()], compass.get_yticks(), strict=True))
     assert named["6°"] == pytest.approx(91.19, abs=0.01)
     assert compass.get_ylim() == information.get_ylim()
+
+
+def test_the_table_holds_medians_over_the_runs(studied: Results) -> None:
+    table = observability_table(studied).set_index("back end")
+    assert table.index.tolist() == ["loses", "keeps"]
+    assert table["nullity at the end"].tolist() == ["2", "3"]
+    assert table["spurious information on turns [1/rad²]"].tolist() == [200.0, 1e-24]
+    assert table.loc["loses", "as a compass of σ [deg]"] == pytest.approx(np.degrees(1 / np.sqrt(200)))
+    assert np.isnan(table.loc["keeps", "as a compass of σ [deg]"])
+    assert table["KL from batch [nat]"].tolist() == [8.0, 1e-12]
+    assert table["runs"].tolist() == [3, 3]
+    studied.trials.loc[studied.trials.index[0], "nullity"] = 1.0
+    assert observability_table(studied)["nullity at the end"].tolist() == ["1 or 2", "3"]
 
 
 def test_equal_nullities_stand_side_by_side(studied: Results) -> None:
