@@ -2,7 +2,8 @@
 
 A sequence's folder holds ``calib.txt``, ``times.txt``, ``image_0`` (left) and ``image_1`` (right); its poses
 are in ``poses/NN.txt`` beside ``sequences``, or in ``poses.txt`` in the folder itself. Those poses are the
-left camera's (x right, y down, z forward) in its first frame.
+left camera's (x right, y down, z forward) in its first frame. They settle over the first images: those of 06
+turn by 0.6° in heading against what the images show (docs/recorded-images.md), which ``start`` leaves out.
 """
 
 from __future__ import annotations

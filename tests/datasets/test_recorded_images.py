@@ -10,17 +10,17 @@ from slamcmp.datasets.euroc import euroc
 from slamcmp.datasets.kitti_odometry import kitti_odometry
 from slamcmp.datasets.seven_scenes import seven_scenes
 from slamcmp.datasets.tum_rgbd import tum_rgbd
-from slamcmp.geometry import dead_reckoning, hat, inverse
+from slamcmp.geometry import dead_reckoning, hat, inverse, so3_log
 from slamcmp.models.camera import FORWARD_CAMERA
 from slamcmp.registry import sources
 from slamcmp.types import Log
 from tests.recorded_data import recorded
 
 
-def tracked(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tracked(first: np.ndarray, second: np.ndarray, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
     """Corners that optical flow finds again there and back, two arrays of pixels (m, 2)."""
     window = {"winSize": (21, 21), "maxLevel": 4}
-    start = cv2.goodFeaturesToTrack(first, 400, 0.01, 8)
+    start = cv2.goodFeaturesToTrack(first, count, 0.01, 8)
     there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **window)
     back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, **window)
     start, there, back = (points.reshape(-1, 2).astype(float) for points in (start, there, back))
@@ -97,6 +97,23 @@ def test_kitti_images_obey_the_recorded_motion() -> None:
         off = np.sum(lines[:, :2] * second, axis=1) + lines[:, 2]
         distance = np.abs(off) / np.linalg.norm(lines[:, :2], axis=1)
         assert np.median(distance) < 0.5
+
+
+def test_kittis_first_attitudes_settle() -> None:
+    """What ``start`` is for: rotations from essential matrices against the true ones."""
+    log = kitti_odometry(0, folder=str(recorded("kitti06_first51")), steps=21)
+    camera = log.problem.sensor
+    T = log.truth.T_world_body @ camera.T_body_camera
+    off = []
+    for k in range(20):
+        first, second = tracked(log.images[k].image, log.images[k + 1].image, 1500)
+        E, inliers = cv2.findEssentialMat(first, second, camera.K, cv2.RANSAC, 0.999, 0.5)
+        _, R, _, _ = cv2.recoverPose(E, first, second, camera.K, mask=inliers)
+        off.append(np.degrees(so3_log(R @ (inverse(T[k + 1]) @ T[k])[:3, :3].T)))
+    settling, settled = np.sum(off[:10], axis=0), np.sum(off[10:], axis=0)
+    # About the camera's y (heading) and z (roll) axes.
+    np.testing.assert_allclose(settling[1:], [-0.6, -0.65], atol=0.25)
+    assert np.abs(settled).max() < 0.3
 
 
 def test_kitti_odometry_drifts_as_stated() -> None:
