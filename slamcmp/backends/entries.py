@@ -106,7 +106,14 @@ def errors(sensor: SensorModel, T: FloatArray, landmarks: FloatArray, z: FloatAr
 def derivatives(sensor: SensorModel, T: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Those of ``errors`` by the pose (..., d, p) and the landmark (..., d, n): zero without an image."""
     H_pose, H_land = sensor.jacobians(T, landmarks)
-    if isinstance(sensor, Camera):
-        hidden = ~(sensor.camera_point(T, landmarks)[..., 2] > 0)
+    hidden = behind(sensor, T, landmarks)
+    if hidden is not None:
         H_pose[hidden], H_land[hidden] = 0.0, 0.0
     return H_pose, H_land
+
+
+def behind(sensor: SensorModel, T: FloatArray, landmarks: FloatArray) -> BoolArray | None:
+    """Which landmarks (..., n) have no image, (...); None for a sensor that has no blind side."""
+    if not isinstance(sensor, Camera):
+        return None
+    return np.asarray(~(sensor.camera_point(T, landmarks)[..., 2] > 0), dtype=bool)

@@ -26,12 +26,14 @@ P         covariances, poses in the body tangent
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from slamcmp.backends.entries import entering, has_blind_side, placed, places_by_itself, with_image
 from slamcmp.backends.gauss_newton import GaussNewtonStep
 from slamcmp.backends.marginalisation import Prior, Quadratic
 from slamcmp.backends.relaxation import relaxed_share
@@ -44,7 +46,9 @@ from slamcmp.backends.window_cost import (
     odometry_terms,
     squared_residuals,
 )
+from slamcmp.backends.window_sights import Sights, padded
 from slamcmp.geometry import retract_in_world_axes
+from slamcmp.models.sensors import entry_sensor
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
@@ -65,7 +69,7 @@ class SlidingWindow:
     thousands).
 
     Args:
-        problem: prior and sensor (planar or spatial; the sensor must be invertible, d = n).
+        problem: prior and sensor (planar or spatial).
         window: poses kept, the current one included; null keeps all (full smoothing).
         iterations: most Gauss-Newton iterations a frame; if more than one, a step after one that jumped over
             the minimum is shortened, and a step that would raise the cost is halved until it does not.
@@ -74,11 +78,14 @@ class SlidingWindow:
             share a cost with marginalised ones keep the point of their first one (first-estimates
             Jacobians). "frozen": every measurement keeps the linear form of the frame it came in.
         landmarks: "keep" all in the state, or "drop_unseen": marginalise those that no pose of the window
-            has seen; seen again, they start anew.
+            has seen; seen again, they start anew (where one measurement does not place a landmark, as a
+            single camera's does not, what is measured of it is dropped, and counted).
 
     Raises:
         UsageError: the prior or an odometry covariance is singular.
-        DivergedError: the information matrix is not positive definite, or not finite.
+        DataError: a measurement that should place a landmark does not.
+        DivergedError: the information matrix is not positive definite, or not finite, or most landmarks that
+            a camera sees are behind it.
     """
 
     def __init__(
@@ -91,13 +98,14 @@ class SlidingWindow:
         linearisation: Literal["latest", "fej", "frozen"] = "latest",
         landmarks: Literal["keep", "drop_unseen"] = "keep",
     ) -> None:
+        self._sights = Sights(problem.sensor, entry_sensor(problem.sensor))
         self._sensor = problem.sensor
         self._window = window
         self._iterations, self._tolerance = iterations, tolerance
         self._first_estimates = linearisation == "fej"
         self._frozen = linearisation == "frozen"
         self._drop_unseen = landmarks == "drop_unseen"
-        n, d, p = problem.sensor.space_dim, problem.sensor.dim, problem.P.shape[0]
+        n, d, p = problem.sensor.space_dim, self._sights.dim, problem.P.shape[0]
         self._n, self._p = n, p
 
         W = whitener(problem.P, "the prior covariance Problem.P")
@@ -109,6 +117,7 @@ class SlidingWindow:
         self._odometry = OdometryTerms(np.empty((0, p, p)), np.empty((0, p, p)), np.empty((0, p)))
         self._pose_of, self._landmark_of = np.empty(0, np.int64), np.empty(0, np.int64)
         self._z, self._W = np.empty((0, d)), np.empty((0, d, d))
+        self._entering = np.empty(0, dtype=bool)
         self._observations = ObservationTerms(np.empty((0, d, p)), np.empty((0, d, n)), np.empty((0, d)))
         self._landmarks = np.empty((0, n))
         self._number: dict[int, int] = {}
@@ -122,7 +131,7 @@ class SlidingWindow:
         self._turn: FloatArray
         self._joint: FloatArray | None = None
         self._used, self._last_size = 0, 0.0
-        self._dof = 0
+        self._dof, self._dropped = 0, 0
         self._t: list[float] = []
         self._left: list[tuple[FloatArray, FloatArray]] = []
         self._unanchored: UnanchoredWindow | None = None
@@ -163,7 +172,8 @@ class SlidingWindow:
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
 
     def diagnostics(self) -> Mapping[str, float]:
-        """Landmarks, iterations used, largest component of the last step, and chi-square with its dof.
+        """Landmarks, iterations used, largest component of the last step, chi-square with its dof, and how
+        many of the frame's measurements were dropped (entries.py).
 
         Chi-square is that of all measurements so far: the window's plus what marginalisation left over. For
         window 1 with one iteration it is the sum of the NIS.
@@ -174,6 +184,7 @@ class SlidingWindow:
             "last_step": self._last_size,
             "chi2": self._step.chi2,
             "dof": self._dof,
+            "dropped": self._dropped,
         }
 
     def record_linearisation(self) -> None:
@@ -210,29 +221,51 @@ class SlidingWindow:
 
     def _observe(self, frame: Frame) -> None:
         """The frame's observations, with new landmarks where the predicted pose sees them."""
-        ids = frame.ids.tolist()
-        new = [i for i, landmark in enumerate(ids) if landmark not in self._number]
-        if new:
-            positions = self._sensor.invert(self._T[-1], frame.z[new])
-            for i in new:
-                self._number[ids[i]] = len(self._number)
+        unknown = np.array([landmark not in self._number for landmark in frame.ids.tolist()], dtype=bool)
+        entries = entering(frame, unknown, self._sensor)
+        self._dropped = entries.dropped
+        self._require_images(frame, ~unknown)
+        if entries.ids.size:
+            positions = placed(self._sights.entry_sensor, self._T[-1], entries, frame.k)
+            for landmark in entries.ids.tolist():
+                self._number[landmark] = len(self._number)
             self._landmarks = np.concatenate([self._landmarks, positions])
             self._landmarks_at = np.concatenate([self._landmarks_at, positions])
-        self._dof += frame.z.size - self._n * len(new)
-        if not ids:
-            return
-        self._pose_of = np.concatenate([self._pose_of, np.full(len(ids), len(self._T) - 1)])
-        self._landmark_of = np.concatenate([self._landmark_of, [self._number[landmark] for landmark in ids]])
-        self._z = np.concatenate([self._z, frame.z])
-        self._W = np.concatenate([self._W, whiteners(frame.R)])
+        self._dof -= self._n * entries.ids.size
+        before = len(self._z)
+        if places_by_itself(self._sensor):
+            self._append(frame.ids, frame.z, frame.R, entering=False)
+        else:
+            self._append(entries.ids, entries.z, entries.R, entering=True)
+            self._append(frame.ids[~unknown], frame.z[~unknown], frame.R[~unknown], entering=False)
         if self._frozen:
-            fresh = self._observation_terms(slice(self._z.shape[0] - len(ids), None))
+            fresh = self._observation_terms(slice(before, None))
             old = self._observations
             self._observations = ObservationTerms(
                 np.concatenate([old.H_pose, fresh.H_pose]),
                 np.concatenate([old.H_land, fresh.H_land]),
                 np.concatenate([old.b, fresh.b]),
             )
+
+    def _append(self, ids: IntArray, z: FloatArray, R: FloatArray, *, entering: bool) -> None:
+        """Observations from the newest pose, with those of the window."""
+        if ids.size == 0:
+            return
+        self._dof += z.size
+        z, W = padded(z, whiteners(R), self._sights.dim)
+        self._pose_of = np.concatenate([self._pose_of, np.full(ids.size, len(self._T) - 1)])
+        numbers = [self._number[landmark] for landmark in ids.tolist()]
+        self._landmark_of = np.concatenate([self._landmark_of, numbers])
+        self._z, self._W = np.concatenate([self._z, z]), np.concatenate([self._W, W])
+        self._entering = np.concatenate([self._entering, np.full(ids.size, entering)])
+
+    def _require_images(self, frame: Frame, known: NDArray[np.bool_]) -> None:
+        """Count the frame's measurements of landmarks behind the camera; they have no derivative."""
+        if not has_blind_side(self._sensor) or not known.any():
+            return
+        numbers = [self._number[landmark] for landmark in frame.ids[known].tolist()]
+        exists = with_image(self._sensor.predict(self._T[-1], self._landmarks[numbers]), frame.k)
+        self._dropped += exists.size - int(exists.sum())
 
     def _solve(self) -> None:
         """Gauss-Newton from the predicted state until the step is small enough."""
@@ -286,7 +319,7 @@ class SlidingWindow:
         pose_of, landmark_of = self._pose_of[rows], self._landmark_of[rows]
         T_at, landmarks_at = self._jacobian_points()
         return observation_terms(
-            self._sensor,
+            self._sights_of(rows),
             self._T[pose_of],
             self._landmarks[landmark_of],
             T_at[pose_of],
@@ -294,6 +327,11 @@ class SlidingWindow:
             self._z[rows],
             self._W[rows],
         )
+
+    def _sights_of(self, rows: slice) -> Sights:
+        if places_by_itself(self._sensor):
+            return self._sights
+        return replace(self._sights, entering=self._entering[rows])
 
     def _share_of(self, step: GaussNewtonStep, share: float) -> float:
         """``share``, or less where it would raise the cost; a single iteration is never questioned."""
@@ -311,7 +349,7 @@ class SlidingWindow:
     def _cost(self, T: FloatArray, landmarks: FloatArray) -> float:
         known = self._prior.landmarks.shape[0]
         return self._prior.linearised(T[0], landmarks[:known]).c + squared_residuals(
-            self._sensor,
+            self._sights_of(slice(None)),
             T,
             self._increments,
             self._odometry_W,
@@ -383,7 +421,7 @@ class SlidingWindow:
         terms = self._observations
         self._observations = ObservationTerms(terms.H_pose[keep], terms.H_land[keep], terms.b[keep])
         self._pose_of, self._landmark_of = self._pose_of[keep], self._landmark_of[keep]
-        self._z, self._W = self._z[keep], self._W[keep]
+        self._z, self._W, self._entering = self._z[keep], self._W[keep], self._entering[keep]
 
     def _without_unseen(self, quadratic: Quadratic, seen_now: set[int]) -> Quadratic:
         """Marginalise the landmarks that neither the window nor the new frame sees."""

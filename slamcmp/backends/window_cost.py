@@ -25,8 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.backends.window_sights import Sights
 from slamcmp.geometry import adjoint, change_of_axes, inverse, log, right_jacobian
-from slamcmp.protocols import SensorModel
 
 FloatArray = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def odometry_terms(T: FloatArray, at: FloatArray, increments: FloatArray, W: Flo
 
 
 def observation_terms(
-    sensor: SensorModel,
+    sights: Sights,
     T: FloatArray,
     landmarks: FloatArray,
     at: FloatArray,
@@ -96,14 +96,14 @@ def observation_terms(
     W: FloatArray,
 ) -> ObservationTerms:
     """Terms of M observations z (M, d); poses (M, …) and landmarks (M, n) stand once per observation."""
-    residual = -sensor.residual(z, sensor.predict(T, landmarks))
-    H_pose, H_land = sensor.jacobians(at, landmarks_at)
+    residual = sights.errors(T, landmarks, z)
+    H_pose, H_land = sights.derivatives(at, landmarks_at, T, landmarks)
     H_pose = H_pose @ change_of_axes(T, at)
     return ObservationTerms(W @ H_pose, W @ H_land, np.einsum("mij,mj->mi", W, residual))
 
 
 def squared_residuals(
-    sensor: SensorModel,
+    sights: Sights,
     T: FloatArray,
     increments: FloatArray,
     odometry_W: FloatArray,
@@ -114,7 +114,7 @@ def squared_residuals(
 ) -> float:
     """Sum of squares of the whitened residuals of all increments and observations, without Jacobians."""
     steps = log(inverse(increments) @ inverse(T[:-1]) @ T[1:])
-    sights = sensor.residual(z, sensor.predict(T_seen_from, landmarks))
+    errors = sights.errors(T_seen_from, landmarks, z)
     total = (np.einsum("kij,kj->ki", odometry_W, steps) ** 2).sum()
-    total += (np.einsum("mij,mj->mi", W, sights) ** 2).sum()
+    total += (np.einsum("mij,mj->mi", W, errors) ** 2).sum()
     return float(total)

@@ -12,6 +12,7 @@ from slamcmp.backends.gauss_newton import GaussNewtonStep
 from slamcmp.backends.marginalisation import Prior, Quadratic
 from slamcmp.backends.sliding_window import SlidingWindow
 from slamcmp.backends.window_cost import ObservationTerms, OdometryTerms, observation_terms, odometry_terms
+from slamcmp.backends.window_sights import Sights
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.models.sensors import RangeBearing, RelativePosition
 from slamcmp.types import TANGENT_DIM, Frame, MeasurementStream, Problem
@@ -196,7 +197,9 @@ def test_first_estimates_keep_rigid_motions_of_the_world_invisible(sensor: Any) 
     pose_of, land_of = np.array([0, 0, 1, 2, 2]), np.array([0, 1, 2, 1, 3])
     z = sensor.predict(T[pose_of], points[land_of])
     Wz = np.broadcast_to(np.eye(n), (5, n, n))
-    terms = observation_terms(sensor, T[pose_of], points[land_of], at[pose_of], points_at[land_of], z, Wz)
+    terms = observation_terms(
+        Sights(sensor, sensor), T[pose_of], points[land_of], at[pose_of], points_at[land_of], z, Wz
+    )
 
     pose_motions, point_motions = rigid_motions(T, at, points_at)
     seen = np.einsum("kij,kjg->kig", odometry.A_prev, pose_motions[:-1])

@@ -10,13 +10,16 @@ from typing import Literal
 import gtsam
 import numpy as np
 
+from slamcmp.models.camera import Camera, MonoCamera
+from slamcmp.models.sensors import entry_sensor
+from slamcmp.protocols import SensorModel
 from slamcmp.types import Frame, Problem
 
 X, L = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
 
 
-def pose2(T: np.ndarray) -> gtsam.Pose2:
-    return gtsam.Pose2(T[0, 2], T[1, 2], np.arctan2(T[1, 0], T[0, 0]))
+def to_gtsam(T: np.ndarray) -> gtsam.Pose2 | gtsam.Pose3:
+    return gtsam.Pose2(T[0, 2], T[1, 2], np.arctan2(T[1, 0], T[0, 0])) if len(T) == 3 else gtsam.Pose3(T)
 
 
 def relative_position_factor(
@@ -39,10 +42,25 @@ def range_bearing_factor(
     return gtsam.BearingRangeFactor2D(pose_key, point_key, gtsam.Rot2(z[1]), z[0], model)
 
 
+def camera_factor(
+    sensor: Camera, pose_key: int, point_key: int, z: np.ndarray, R: np.ndarray
+) -> gtsam.GenericProjectionFactorCal3_S2 | gtsam.GenericStereoFactor3D:
+    noise, mounting = gtsam.noiseModel.Gaussian.Covariance(R), gtsam.Pose3(sensor.T_body_camera)
+    numbers = sensor.fx_px, sensor.fy_px, 0.0, sensor.cx_px, sensor.cy_px
+    if isinstance(sensor, MonoCamera):
+        K = gtsam.Cal3_S2(*numbers)
+        return gtsam.GenericProjectionFactorCal3_S2(z, noise, pose_key, point_key, K, mounting)
+    K = gtsam.Cal3_S2Stereo(*numbers, sensor.baseline_m)
+    point = gtsam.StereoPoint2(z[0], z[1], z[2])
+    return gtsam.GenericStereoFactor3D(point, noise, pose_key, point_key, K, mounting)
+
+
 def observation_factor(
-    sensor_name: str, pose_key: int, point_key: int, z: np.ndarray, R: np.ndarray
+    sensor: SensorModel, pose_key: int, point_key: int, z: np.ndarray, R: np.ndarray
 ) -> object:
-    make = range_bearing_factor if sensor_name == "range_bearing" else relative_position_factor
+    if isinstance(sensor, Camera):
+        return camera_factor(sensor, pose_key, point_key, z, R)
+    make = range_bearing_factor if sensor.name == "range_bearing" else relative_position_factor
     return make(pose_key, point_key, z, R)
 
 
@@ -57,31 +75,43 @@ class WindowOneGraph:
     def __init__(self, problem: Problem, *, axes: Literal["world", "body"]) -> None:
         self.axes = axes
         self.sensor = problem.sensor
+        self.p, self.n = len(problem.P), problem.sensor.space_dim
+        planar = self.n == 2
+        self.between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
+        make_prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
+        start, noise = to_gtsam(problem.T_world_body), gtsam.noiseModel.Gaussian.Covariance(problem.P)
         self.values = gtsam.Values()
-        self.values.insert(X(0), pose2(problem.T_world_body))
-        prior = gtsam.PriorFactorPose2(
-            X(0), pose2(problem.T_world_body), gtsam.noiseModel.Gaussian.Covariance(problem.P)
-        )
+        self.values.insert(X(0), start)
         self.kept = gtsam.NonlinearFactorGraph()
-        self.kept.add(prior)
+        self.kept.add(make_prior(X(0), start, noise))
         self.P = problem.P
         self.ids: list[int] = []
         self.k = 0
+
+    def pose_in(self, values: gtsam.Values, k: int) -> gtsam.Pose2 | gtsam.Pose3:
+        return values.atPose2(X(k)) if self.n == 2 else values.atPose3(X(k))
+
+    def point_in(self, values: gtsam.Values, landmark: int) -> np.ndarray:
+        return values.atPoint2(L(landmark)) if self.n == 2 else values.atPoint3(L(landmark))
 
     def update(self, frame: Frame) -> None:
         self.k = frame.k
         graph, values = gtsam.NonlinearFactorGraph(self.kept), gtsam.Values(self.values)
         if frame.k:
-            increment = pose2(frame.T_prev_body)
-            values.insert(X(frame.k), values.atPose2(X(frame.k - 1)).compose(increment))
+            increment = to_gtsam(frame.T_prev_body)
+            values.insert(X(frame.k), self.pose_in(values, frame.k - 1).compose(increment))
             model = gtsam.noiseModel.Gaussian.Covariance(frame.Q)
-            graph.add(gtsam.BetweenFactorPose2(X(frame.k - 1), X(frame.k), increment, model))
-        T = values.atPose2(X(frame.k)).matrix()
-        for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
-            if landmark not in self.ids:
-                self.ids.append(landmark)
-                values.insert(L(landmark), self.sensor.invert(T, z))
-            graph.add(observation_factor(self.sensor.name, X(frame.k), L(landmark), z, R))
+            graph.add(self.between(X(frame.k - 1), X(frame.k), increment, model))
+        T = self.pose_in(values, frame.k).matrix()
+        parts = [(self.sensor, frame)]
+        if frame.entries is not None:
+            parts = [(entry_sensor(self.sensor), frame.entries), *parts]
+        for sensor, sights in parts:
+            for landmark, z, R in zip(sights.ids.tolist(), sights.z, sights.R, strict=True):
+                if landmark not in self.ids:
+                    self.ids.append(landmark)
+                    values.insert(L(landmark), sensor.invert(T, z))
+                graph.add(observation_factor(sensor, X(frame.k), L(landmark), z, R))
         remaining = graph.linearize(values)
         if frame.k:
             ordering = gtsam.Ordering()
@@ -105,22 +135,26 @@ class WindowOneGraph:
         self, values: gtsam.Values, step: gtsam.VectorValues, information: np.ndarray
     ) -> np.ndarray:
         """Correct the mean; answers with the information on errors in the axes of the corrected pose."""
-        old = values.atPose2(X(self.k))
-        dx, dy, turn = step.at(X(self.k))
-        position = old.transformFrom(np.array([dx, dy]))
+        p, n = self.p, self.n
+        old, delta = self.pose_in(values, self.k), step.at(X(self.k))
+        shift, turn = (
+            (delta[:2], gtsam.Rot2(delta[2])) if n == 2 else (delta[3:], gtsam.Rot3.Expmap(delta[:3]))
+        )
+        make = gtsam.Pose2 if n == 2 else gtsam.Pose3
         self.values = gtsam.Values()
-        self.values.insert(X(self.k), gtsam.Pose2(position[0], position[1], old.theta() + turn))
+        self.values.insert(X(self.k), make(old.rotation().compose(turn), old.transformFrom(shift)))
         for landmark in self.ids:
-            self.values.insert(L(landmark), values.atPoint2(L(landmark)) + step.at(L(landmark)))
+            self.values.insert(L(landmark), self.point_in(values, landmark) + step.at(L(landmark)))
         old_from_new = np.eye(len(information))
-        old_from_new[:2, :2] = gtsam.Rot2(turn).matrix()
+        for first in range(0, p - n + 1, n):
+            old_from_new[first : first + n, first : first + n] = turn.matrix()
         return old_from_new.T @ information @ old_from_new
 
     def _keep_about_the_mean(self, information: np.ndarray) -> None:
         """A Gaussian on all kept variables as factors on pairs, the most that can be built from Python."""
         keys = [X(self.k), *(L(i) for i in self.ids)]
-        ends = np.cumsum([3] + [2] * len(self.ids))
-        states = [np.arange(end - (2 if i else 3), end) for i, end in enumerate(ends)]
+        ends = np.cumsum([self.p] + [self.n] * len(self.ids))
+        states = [np.arange(end - (self.n if i else self.p), end) for i, end in enumerate(ends)]
         self.kept = gtsam.NonlinearFactorGraph()
 
         def keep(factor: gtsam.HessianFactor) -> None:
@@ -135,12 +169,12 @@ class WindowOneGraph:
                 keep(gtsam.HessianFactor(keys[i], keys[j], none_i, G_ij, none_i[0], none_j, none_j[0], 0.0))
 
     def pose(self) -> np.ndarray:
-        return self.values.atPose2(X(self.k)).matrix()
+        return self.pose_in(self.values, self.k).matrix()
 
     def positions(self) -> np.ndarray:
-        """(L, 2) in the order of first sight."""
-        return np.array([self.values.atPoint2(L(i)) for i in self.ids]).reshape(-1, 2)
+        """(L, n) in the order of first sight."""
+        return np.array([self.point_in(self.values, i) for i in self.ids]).reshape(-1, self.n)
 
     def joint_covariance(self) -> np.ndarray:
-        """(3 + 2 L, 3 + 2 L), pose first, landmarks in the order of first sight."""
+        """(p + n L, p + n L), pose first, landmarks in the order of first sight."""
         return self.P
