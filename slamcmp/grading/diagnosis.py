@@ -7,7 +7,7 @@ the reference does not. What no mutant explains is compared with what mistakes u
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,8 @@ _RUNAWAY = 1e6
 
 Place = tuple[str, tuple[int | str, ...]]
 """A function, and which of its outputs."""
+Outputs = dict[int, Any]
+"""One output of a function by the number of the call, from 0."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ def explain(
         reference: what the reference answered when asked the same.
         known: messages (templates over the fields of :class:`Difference`) with the answers of the mutant.
     """
-    own, right = _by_place(student), _by_place(reference)
+    right = _by_place(reference, reference)
+    own = _by_place(student, reference)
     wrong = [
         place
         for place in own
@@ -57,50 +60,93 @@ def explain(
     ]
     if not wrong:
         return []
-    found: list[str] = []
-    unexplained = list(wrong)
+    candidates: list[tuple[str, list[Place]]] = []
     for message, answers in known:
-        theirs = _by_place(answers)
+        theirs = _by_place(answers, reference)
         explained = [
             place
-            for place in unexplained
+            for place in wrong
             if place in theirs
             and _same(own[place], theirs[place])
-            and _tells_apart(theirs[place], right[place])
+            and _tells_apart(theirs[place], own[place], right[place])
         ]
         if explained:
-            at = _largest(explained[0], own[explained[0]], right[explained[0]])
-            found.append(message.format(**vars(at)))
-            unexplained = [place for place in unexplained if place not in explained]
-        if not unexplained:
+            candidates.append((message, explained))
+        if len(explained) == len(wrong):
             # The next mutant would be run only now, which takes far longer than all the rest.
             break
+    found = [
+        message.format(**vars(_largest(place, own[place], right[place])))
+        for message, place in _fewest(candidates, wrong)
+    ]
     if not found:
         found = [text for place in wrong if (text := _signature(place, own[place], right[place]))]
     return list(dict.fromkeys(found))[:2]
 
 
-def _by_place(answers: Sequence[Remembered]) -> dict[Place, list[Any]]:
-    places: dict[Place, list[Any]] = defaultdict(list)
+def _fewest(candidates: list[tuple[str, list[Place]]], wrong: Sequence[Place]) -> Iterator[tuple[str, Place]]:
+    """Few mistakes that explain much: each time the one that explains most of what is left.
+
+    Yields:
+        its message and the first place that it explains.
+    """
+    left = set(wrong)
+    while candidates and left:
+        message, explained = max(candidates, key=lambda candidate: len(left.intersection(candidate[1])))
+        here = [place for place in explained if place in left]
+        if not here:
+            return
+        yield message, here[0]
+        left.difference_update(here)
+
+
+def _by_place(answers: Sequence[Remembered], reference: Sequence[Remembered]) -> dict[Place, Outputs]:
+    """Outputs by function and number of the call.
+
+    Only of calls that asked what the reference was asked: where a wrong answer came back as an argument, the
+    next one has to differ.
+    """
+    asked: dict[str, list[Remembered]] = defaultdict(list)
+    for answer in reference:
+        asked[answer.name].append(answer)
+    calls: dict[str, int] = defaultdict(int)
+    places: dict[Place, Outputs] = defaultdict(dict)
     for answer in answers:
+        number = calls[answer.name]
+        calls[answer.name] += 1
+        if number >= len(asked[answer.name]) or not _asked_alike(answer, asked[answer.name][number]):
+            continue
         for path, leaf in leaves(answer.answer):
-            places[answer.name, path].append(leaf)
+            places[answer.name, path][number] = leaf
     return places
 
 
-def _missing(answers: Sequence[Any]) -> bool:
+def _asked_alike(first: Remembered, second: Remembered) -> bool:
+    given, wanted = (list(leaves(list(each.arguments))) for each in (first, second))
+    return len(given) == len(wanted) and all(
+        where == there and _alike(a, b) for (where, a), (there, b) in zip(given, wanted, strict=True)
+    )
+
+
+def _missing(answers: Outputs) -> bool:
     """Whether it is a function that is still to be written: no mistake has to be looked for."""
-    return all(isinstance(answer, str) and answer.startswith("NotImplementedError") for answer in answers)
+    return all(
+        isinstance(answer, str) and answer.startswith("NotImplementedError") for answer in answers.values()
+    )
 
 
-def _same(first: Sequence[Any], second: Sequence[Any]) -> bool:
+def _same(first: Outputs, second: Outputs) -> bool:
     # One side may have been asked less, or have stopped answering.
-    return all(_alike(a, b) for a, b in zip(first, second, strict=False))
+    return all(_alike(first[call], second[call]) for call in first if call in second)
 
 
-def _tells_apart(theirs: Sequence[Any], right: Sequence[Any]) -> bool:
+def _tells_apart(theirs: Outputs, own: Outputs, right: Outputs) -> bool:
     """Whether a mistake shows in numbers: many a mistake ends in the same error of numpy's."""
-    return any(not isinstance(a, str) and not _alike(a, b) for a, b in zip(theirs, right, strict=False))
+    return any(
+        not isinstance(theirs[call], str) and not _alike(theirs[call], right[call])
+        for call in theirs
+        if call in own and call in right
+    )
 
 
 def _alike(first: Any, second: Any) -> bool:
@@ -120,36 +166,37 @@ def _numbers(value: Any) -> FloatArray | None:
         return None
 
 
-def _largest(place: Place, own: Sequence[Any], right: Sequence[Any]) -> Difference:
+def _largest(place: Place, own: Outputs, right: Outputs) -> Difference:
     best, size = Difference(place[0], 1, float("nan"), float("nan")), -1.0
-    for call, (first, second) in enumerate(zip(own, right, strict=False), start=1):
-        a, b = _numbers(first), _numbers(second)
+    for call in (call for call in own if call in right):
+        a, b = _numbers(own[call]), _numbers(right[call])
         if a is None or b is None or a.shape != b.shape or a.size == 0:
             continue
         difference = np.nan_to_num(np.abs(a - b), nan=np.inf)
         index = np.unravel_index(int(np.argmax(difference)), a.shape)
         if difference[index] > size:
             size = float(difference[index])
-            best = Difference(place[0], call, float(a[index]), float(b[index]))
+            best = Difference(place[0], call + 1, float(a[index]), float(b[index]))
     return best
 
 
-def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
+def _signature(place: Place, own: Outputs, right: Outputs) -> str:
     """What the difference looks like, or nothing."""
     function, path = place
+    both = [(own[call], right[call]) for call in own if call in right]
     what = f"output {path[0] + 1} of {function}" if path and isinstance(path[0], int) else function
     pairs = [
         (a, b)
-        for first, second in zip(own, right, strict=False)
+        for first, second in both
         if (a := _numbers(first)) is not None
         and (b := _numbers(second)) is not None
         and a.shape == b.shape
         and not _alike(a, b)
     ]
     free = "is something left out that ties the unknowns down, such as a prior or the noise?"
-    if any(isinstance(answer, str) and "Singular matrix" in answer for answer in own):
+    if any(isinstance(answer, str) and "Singular matrix" in answer for answer, _ in both):
         return f"{function} solves equations that have no unique solution; {free}"
-    if rows := _rows_signature(what, own, right):
+    if rows := _rows_signature(what, both):
         return rows
     if not pairs:
         return ""
@@ -180,10 +227,10 @@ def _signature(place: Place, own: Sequence[Any], right: Sequence[Any]) -> str:
     return ""
 
 
-def _rows_signature(what: str, own: Sequence[Any], right: Sequence[Any]) -> str:
+def _rows_signature(what: str, both: Sequence[tuple[Any, Any]]) -> str:
     """Of answers that are lists of pairs: too many, or too few, and otherwise right."""
     more = fewer = 0
-    for first, second in zip(own, right, strict=False):
+    for first, second in both:
         a, b = _numbers(first), _numbers(second)
         if a is None or b is None or a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
             return ""

@@ -204,3 +204,22 @@ def test_diagnosis_knows_equations_without_a_unique_solution(answer: object) -> 
     assert message.endswith(
         "is something left out that ties the unknowns down, such as a prior or the noise?"
     )
+
+
+def test_diagnosis_names_the_mistake_that_explains_most() -> None:
+    right = [Remembered("test", (), (4.0, True)), Remembered("test", (), (9.0, False))]
+    root = [Remembered("test", (), (2.0, True)), Remembered("test", (), (3.0, True))]
+    lenient = [Remembered("test", (), (4.0, True)), Remembered("test", (), (9.0, True))]
+    known = [("accepts everything", lenient), ("takes the root", root)]
+    assert explain(root, right, known) == ["takes the root"]
+    assert explain(lenient, right, known) == ["accepts everything"]
+
+
+def test_diagnosis_looks_for_no_mistake_where_another_question_was_asked() -> None:
+    def answers(first: float, second: float) -> list[Remembered]:
+        return [Remembered("f", (1.0,), first), Remembered("g", (first,), second)]
+
+    right, wrong_f = answers(2.0, 20.0), answers(3.0, 30.0)
+    # Another mistake of g answers 30 too, to what f rightly answered.
+    known = [("a mistake in g", answers(2.0, 30.0)), ("a mistake in f", answers(3.0, 30.0))]
+    assert explain(wrong_f, right, known) == ["a mistake in f"]
