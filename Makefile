@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PYTEST_ARGS ?=
 
-.PHONY: demo test check install install-test bench slow clean
+.PHONY: demo test check install install-test bench slow docs-figures clean
 
 demo: install
 	$(BIN)/slamcmp run experiments/victoria_park.yaml
@@ -29,6 +29,9 @@ bench: install-test
 	$(BIN)/python benchmarks/monte_carlo.py
 	$(BIN)/python benchmarks/isam2.py
 	$(BIN)/python benchmarks/runner.py
+
+docs-figures: install
+	$(BIN)/python docs/make_figures.py
 
 install: $(VENV)/.installed
 install-test: $(VENV)/.installed-test

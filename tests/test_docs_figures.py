@@ -1,0 +1,60 @@
+"""The images of README and docs: each is made by one command, from an experiment that is shipped."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.shipped import shipped_experiments
+from slamcmp.registry import figures
+
+ROOT = Path(__file__).parents[1]
+COMMAND = ROOT / "docs" / "make_figures.py"
+
+
+@pytest.fixture(scope="module")
+def images() -> dict[str, tuple[str, str]]:
+    """The command's own table: image, experiment and figure."""
+    namespace: dict[str, object] = {"__name__": "make_figures", "__file__": str(COMMAND)}
+    exec(compile(COMMAND.read_text(encoding="utf-8"), str(COMMAND), "exec"), namespace)
+    table = namespace["IMAGES"]
+    assert isinstance(table, dict)
+    return table
+
+
+def shown() -> set[str]:
+    """Every image that a page shows, by its file name."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    links = [
+        link for page in pages for link in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text("utf-8"))
+    ]
+    assert all(Path(link).parent.name == "images" for link in links)
+    return {Path(link).name for link in links}
+
+
+def test_every_image_is_made_by_the_command_and_shown(images: dict[str, tuple[str, str]]) -> None:
+    kept = {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    assert shown() == set(images) == kept
+
+
+def test_every_image_comes_from_a_shipped_experiment_that_draws_it(
+    images: dict[str, tuple[str, str]],
+) -> None:
+    shipped = shipped_experiments()
+    for experiment, figure in images.values():
+        assert figure in figures
+        named = load_experiment(shipped[experiment]).figures
+        assert named is None or figure in named
+
+
+def test_an_image_that_is_not_known_is_refused() -> None:
+    done = subprocess.run(
+        [sys.executable, str(COMMAND), "dail.png"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "no image dail.png; known: dial.png" in done.stderr
