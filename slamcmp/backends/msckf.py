@@ -25,7 +25,7 @@ S         innovation covariance
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -34,12 +34,14 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.backends.covariance import block_diagonal
+from slamcmp.backends.entries import behind, places_by_itself
 from slamcmp.backends.whitening import whiteners
+from slamcmp.backends.window_sights import Sights, padded
 from slamcmp.errors import DivergedError
 from slamcmp.geometry import adjoint_of_inverse, retract_in_world_axes
-from slamcmp.protocols import SensorModel
+from slamcmp.models.sensors import entry_sensor
 from slamcmp.registry import back_ends
-from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
+from slamcmp.types import Detections, Estimate, Frame, Landmarks, Problem, Trajectory
 
 FloatArray = NDArray[np.float64]
 
@@ -51,9 +53,11 @@ TRIANGULATION_STEPS = 10
 class Track:
     """A landmark's observations that no update has used yet."""
 
-    frames: list[int]
-    z: list[FloatArray]
-    R: list[FloatArray]
+    frames: list[int] = field(default_factory=list)
+    z: list[FloatArray] = field(default_factory=list)
+    W: list[FloatArray] = field(default_factory=list)
+    entering: list[bool] = field(default_factory=list)
+    """Which the entry sensor made (entries.py)."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +83,12 @@ class Msckf:
 
     A track ends when a frame does not see its landmark, or when its first pose leaves the window; a landmark
     that is seen on starts a new track. The online estimate does not know the observations of tracks that
-    still run.
+    still run. A single camera's first track begins with the landmark's entry, later ones have pixels only and
+    are triangulated from where the last one left the landmark; a track that determines no point in front of
+    all its cameras is dropped, and counted.
 
     Args:
-        problem: prior and sensor (planar or spatial; the sensor must be invertible).
+        problem: prior and sensor (planar or spatial).
         window: poses kept, the current one included; a track cannot be longer.
 
     Raises:
@@ -91,6 +97,7 @@ class Msckf:
 
     def __init__(self, problem: Problem, *, window: Annotated[int, Ge(2)] = 15) -> None:
         self._sensor = problem.sensor
+        self._sights = Sights(problem.sensor, entry_sensor(problem.sensor))
         self._window = window
         self._p, self._n = problem.P.shape[0], problem.sensor.space_dim
         self._T = problem.T_world_body[None].copy()
@@ -100,6 +107,7 @@ class Msckf:
         self._tracks: dict[int, Track] = {}
         self._map: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._nis, self._nis_dof, self._used = 0.0, 0, 0
+        self._dropped = 0
         self._t: list[float] = []
         self._left: list[tuple[FloatArray, FloatArray]] = []
 
@@ -108,11 +116,10 @@ class Msckf:
         if frame.k > 0:
             self._append_pose(frame)
         self._t.append(frame.t)
-        for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
-            track = self._tracks.setdefault(landmark, Track([], [], []))
-            track.frames.append(frame.k)
-            track.z.append(z)
-            track.R.append(R)
+        self._dropped = 0
+        if frame.entries is not None:
+            self._note(frame.k, frame.entries, entering=True)
+        self._note(frame.k, frame, entering=False)
         full = len(self._T) == self._window
         finished = [
             landmark
@@ -147,13 +154,27 @@ class Msckf:
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
 
     def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map."""
+        """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map, and
+        how many observations were dropped with their tracks."""
         return {
             "nis": self._nis if self._nis_dof else float("nan"),
             "nis_dof": self._nis_dof,
             "tracks_used": self._used,
             "landmarks": len(self._map),
+            "dropped": self._dropped,
         }
+
+    def _note(self, k: int, sights: Frame | Detections, *, entering: bool) -> None:
+        """Observations from the newest pose, each with its track."""
+        if sights.ids.size == 0:
+            return
+        z, W = padded(sights.z, whiteners(sights.R), self._sights.dim)
+        for row, landmark in enumerate(sights.ids.tolist()):
+            track = self._tracks.setdefault(landmark, Track())
+            track.frames.append(k)
+            track.z.append(z[row])
+            track.W.append(W[row])
+            track.entering.append(entering)
 
     def _append_pose(self, frame: Frame) -> None:
         p = self._p
@@ -164,22 +185,29 @@ class Msckf:
 
     def _constraint(self, landmark: int, track: Track) -> Constraint | None:
         """Triangulate the landmark, then take it out; None where nothing about the poses is left."""
-        z, W = np.array(track.z), whiteners(np.array(track.R))
+        z, W, entering = np.array(track.z), np.array(track.W), np.array(track.entering)
+        sights = self._sights
+        if not places_by_itself(self._sensor):
+            sights = replace(sights, entering=entering)
         m, d = z.shape
-        if m * d <= self._n:
+        # Rows that only fill up would count as measurements.
+        real = np.arange(d) < np.where(entering, sights.entry_sensor.dim, self._sensor.dim)[:, None]
+        if real.sum() <= self._n:
             return None
         numbers = np.array(track.frames) - self._first
         poses = self._T[numbers]
-        position = triangulate(self._sensor, poses, z, W)
+        start = self._start(landmark, track, poses[0])
+        position = None if start is None else triangulate(sights, poses, z, W, start)
         if position is None:
+            self._dropped += m
             return None
-        H_pose, H_land = self._sensor.jacobians(poses, np.tile(position, (m, 1)))
-        residual = self._sensor.residual(z, self._sensor.predict(poses, np.tile(position, (m, 1))))
+        points = np.tile(position, (m, 1))
+        H_pose, H_land = sights.derivatives(poses, points, poses, points)
         blocks = np.zeros((m, d, len(self._T), self._p))
         blocks[np.arange(m), :, numbers, :] = W @ H_pose
-        H_x = blocks.reshape(m * d, -1)
-        H_f = (W @ H_land).reshape(m * d, self._n)
-        r = (W @ residual[..., None]).ravel()
+        H_x = blocks.reshape(m, d, -1)[real]
+        H_f = (W @ H_land)[real]
+        r = -(W @ sights.errors(poses, points, z)[..., None])[..., 0][real]
         basis, triangle = np.linalg.qr(H_f, mode="complete")
         inverse = np.linalg.inv(triangle[: self._n])
         N = basis[:, self._n :]
@@ -191,6 +219,13 @@ class Msckf:
             N.T @ H_x,
             N.T @ r,
         )
+
+    def _start(self, landmark: int, track: Track, T: FloatArray) -> FloatArray | None:
+        """Where triangulation begins: by the first sight from T, or where the last track ended."""
+        by = self._sights.entry_sensor
+        if track.entering[0] or places_by_itself(self._sensor):
+            return by.invert(T, track.z[0][: by.dim])
+        return self._map[landmark][0] if landmark in self._map else None
 
     def _correct(self, constraints: list[Constraint | None]) -> None:
         used = [constraint for constraint in constraints if constraint is not None]
@@ -219,18 +254,20 @@ class Msckf:
         self._P = J @ P @ J.T
 
 
-def triangulate(sensor: SensorModel, poses: FloatArray, z: FloatArray, W: FloatArray) -> FloatArray | None:
+def triangulate(
+    sights: Sights, poses: FloatArray, z: FloatArray, W: FloatArray, start: FloatArray
+) -> FloatArray | None:
     """The landmark (n,) that fits observations z (m, d) from known poses (m, …) best, or None.
 
-    Gauss-Newton from where the first observation puts it; W (m, d, d) whitens. None where the observations
-    do not determine it.
+    Gauss-Newton from ``start`` (n,); W (m, d, d) whitens. None where the observations do not determine it, or
+    not in front of every camera.
     """
     m = len(z)
-    position = sensor.invert(poses[0], z[0])
+    position = start
     for _ in range(TRIANGULATION_STEPS):
         points = np.tile(position, (m, 1))
-        H = (W @ sensor.jacobians(poses, points)[1]).reshape(z.size, -1)
-        r = (W @ sensor.residual(z, sensor.predict(poses, points))[..., None]).ravel()
+        H = (W @ sights.derivatives(poses, points, poses, points)[1]).reshape(z.size, -1)
+        r = -(W @ sights.errors(poses, points, z)[..., None]).ravel()
         L, failed = dpotrf(H.T @ H, lower=1)
         if failed:
             return None
@@ -238,4 +275,5 @@ def triangulate(sensor: SensorModel, poses: FloatArray, z: FloatArray, W: FloatA
         position = position + step
         if np.abs(step).max() < 1e-10:
             break
-    return position
+    hidden = behind(sights.sensor, poses, np.tile(position, (m, 1)))
+    return None if hidden is not None and hidden.any() else position

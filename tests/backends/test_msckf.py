@@ -8,6 +8,7 @@ import pytest
 from slamcmp import geometry
 from slamcmp.backends.msckf import Msckf, triangulate
 from slamcmp.backends.sliding_window import SlidingWindow
+from slamcmp.backends.window_sights import Sights
 from slamcmp.errors import DivergedError
 from slamcmp.models.sensors import make_sensor
 from slamcmp.types import Frame, MeasurementStream, Problem
@@ -131,14 +132,15 @@ def test_triangulation_is_the_least_squares_point() -> None:
     """At the answer the whitened residual is orthogonal to the Jacobian; from exact data it is exact."""
     rng = np.random.default_rng(0)
     sensor = make_sensor("range_bearing", {})
+    sights = Sights(sensor, sensor)
     poses = geometry.exp(rng.normal(size=(6, 3)) * [1, 1, 0.5])
     point = np.array([4.0, -3.0])
     exact = sensor.predict(poses, np.tile(point, (6, 1)))
     W = np.broadcast_to(np.diag([10.0, 50.0]), (6, 2, 2))
-    found = triangulate(sensor, poses, exact, W)
+    found = triangulate(sights, poses, exact, W, sensor.invert(poses[0], exact[0]))
     np.testing.assert_allclose(found, point, atol=1e-10)
     noisy = exact + rng.normal(size=exact.shape) * [0.1, 0.02]
-    found = triangulate(sensor, poses, noisy, W)
+    found = triangulate(sights, poses, noisy, W, sensor.invert(poses[0], noisy[0]))
     assert found is not None
     points = np.tile(found, (6, 1))
     r = (W @ sensor.residual(noisy, sensor.predict(poses, points))[..., None]).ravel()
