@@ -254,7 +254,11 @@ class FrontEndReport:
     counts: IntArray
     """(K, 1 + stages + 1): raw detections, how many each stage removed, how many were kept."""
     kept: tuple[BoolArray, ...]
-    """One mask a frame over the log's detections."""
+    """One mask a frame over the raw detections."""
+    events: Mapping[str, int] = field(default_factory=dict)
+    """Frames with something out of the ordinary, by what it was: why an image was skipped, for instance."""
+    times_ms: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Wall time of each stage, one entry a frame that was used; empty for a stored stream."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -262,8 +266,9 @@ class FrontEndReport:
         return ("raw", *self.stages, "kept")
 
     def totals(self) -> dict[str, int]:
-        """Sum of each column over the frames."""
-        return dict(zip(self.columns, (int(total) for total in self.counts.sum(axis=0)), strict=True))
+        """Sum of each column over the frames, then the frames with each event."""
+        columns = dict(zip(self.columns, (int(total) for total in self.counts.sum(axis=0)), strict=True))
+        return columns | {f"frames: {event}": count for event, count in self.events.items()}
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ def save_stream(stream: MeasurementStream, path: Path | str) -> None:
         "sensor": sensor.name,
         "parameters": dict(sensor.parameters()),
         "stages": None if stream.report is None else list(stream.report.stages),
+        "events": {} if stream.report is None else dict(stream.report.events),
     }
     arrays: dict[str, Any] = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -116,7 +117,10 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
     report = None
     if header["stages"] is not None:
         kept = np.split(data["kept"], np.cumsum(data["kept_size"])[:-1])
-        report = FrontEndReport(tuple(header["stages"]), data["counts"], tuple(kept))
+        # Streams stored before there were events have none.
+        report = FrontEndReport(
+            tuple(header["stages"]), data["counts"], tuple(kept), header.get("events", {})
+        )
     sensor = make_sensor(header["sensor"], header["parameters"])
     return MeasurementStream(Problem(data["prior_T"], data["prior_P"], sensor), frames, report)
 

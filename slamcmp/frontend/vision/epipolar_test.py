@@ -1,0 +1,69 @@
+"""Test the matches of all tracks against one epipolar geometry, where two images determine one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.frontend.vision.degeneracy import Geometry, verify_matches
+from slamcmp.frontend.vision.track_table import VIEWS, TrackTable
+from slamcmp.frontend.vision.triangulation import PoseHistory
+from slamcmp.models.camera import Camera
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_PARALLAX_PX = 12.0
+"""Between the two images, in the median."""
+_SHARE_MIN = 0.5
+"""Of the tracks that the last image shows: an older image that shows fewer is not used."""
+_MATCHES_MIN = 16
+
+
+def epipolar_test(
+    tracks: TrackTable,
+    rows: IntArray,
+    now: FloatArray,
+    camera: Camera,
+    history: PoseHistory,
+    *,
+    seed: int,
+    threshold_px: float,
+) -> tuple[BoolArray, str]:
+    """Which matches of ``rows`` with pixels ``now`` (m, 2) obey the geometry of two images.
+
+    Tracks that the earlier image does not show pass, and so do all where the geometry is degenerate: no F is
+    better than one that a plane or a rotation leaves open. The second answer then says why, in a phrase.
+    """
+    allowed = np.ones(len(rows), dtype=bool)
+    if not len(rows):
+        return allowed, ""
+    shown, before = _earlier_view(tracks, rows, now, camera, history)
+    answer = verify_matches(before, now[shown], seed=seed, threshold_px=threshold_px, K=camera.K)
+    if answer.geometry is not Geometry.EPIPOLAR:
+        return allowed, f"no epipolar test: {answer.geometry.replace('_', ' ')}"
+    allowed[shown] = answer.inliers
+    return allowed, ""
+
+
+def _earlier_view(
+    tracks: TrackTable, rows: IntArray, now: FloatArray, camera: Camera, history: PoseHistory
+) -> tuple[IntArray, FloatArray]:
+    """Which matches the latest image with enough parallax shows, and their pixels there.
+
+    Two images taken a step apart hardly tell a room from a plane. Parallax is what the odometry's rotation
+    leaves of the motion of the pixels.
+    """
+    shown, before = np.empty(0, np.int64), np.empty((0, 2))
+    for back in range(1, min(VIEWS, len(history.T_view))):
+        has = tracks.view_back[rows] == back
+        candidates = np.flatnonzero(has.any(axis=1))
+        if len(candidates) < max(_SHARE_MIN * len(shown), _MATCHES_MIN):
+            break
+        shown, before = candidates, tracks.view_pixel[rows[candidates]][has[candidates]]
+        turned = (camera.T_camera_body @ history.T_view[back] @ camera.T_body_camera)[:3, :3]
+        parallax = np.linalg.norm(now[shown] - camera.project(camera.rays(before) @ turned), axis=1)
+        if np.nanmedian(parallax) >= _PARALLAX_PX:
+            break
+    return shown, before

@@ -1,0 +1,68 @@
+"""Delayed initialisation: a ray that has gathered enough parallax becomes a point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from slamcmp.frontend.vision.track_table import TrackTable
+from slamcmp.frontend.vision.triangulation import PoseHistory, parallax_deg, triangulate
+from slamcmp.models.camera import MonoCamera
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_VIEWS_MIN = 3
+"""Two views fit all but one of their four numbers by themselves: hardly anything tests the point."""
+_INVERSE_DEPTH_PRECISION = 0.25
+"""Largest deviation of the inverse depth as a share of it: four deviations from infinity."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Rays that are points from now on, and rays that are neither."""
+
+    rows: IntArray
+    """Of the track table, (m,)."""
+    z: FloatArray
+    """(m, 3), by the camera's entry sensor."""
+    R: FloatArray
+    """(m, 3, 3)."""
+    contradicted: IntArray
+    """Rows of rays whose views no point explains."""
+
+
+def place_rays(
+    tracks: TrackTable,
+    rows: IntArray,
+    camera: MonoCamera,
+    history: PoseHistory,
+    *,
+    sigma_px: float,
+    parallax_min_deg: float,
+    depth_min_m: float,
+    gate_probability: float,
+) -> Placed:
+    """Triangulate those of ``rows``, rays that the present image shows, that are due and well conditioned."""
+    back, pixels = tracks.view_back[rows], tracks.view_pixel[rows]
+    used = back >= 0
+    every, oldest = np.arange(len(rows)), used.argmax(axis=1)
+    angle = parallax_deg(camera, history, pixels[:, -1], pixels[every, oldest], back[every, oldest])
+    due = (angle >= parallax_min_deg) & (used.sum(axis=1) >= _VIEWS_MIN)
+    rows, used, back, pixels = rows[due], used[due], np.maximum(back[due], 0), pixels[due]
+    if not rows.size:
+        return Placed(rows, np.empty((0, 3)), np.empty((0, 3, 3)), rows)
+    found = triangulate(camera, history, pixels, back, used, sigma_px=sigma_px)
+    pair = camera.entry_sensor
+    difference = np.array([1.0, -1.0, 0.0])
+    disparity = found.z @ difference
+    deviation = np.sqrt(difference @ found.R @ difference)
+    fits = found.misfit <= chdtri(found.dof, 1.0 - gate_probability)
+    good = found.in_front & fits & (deviation <= _INVERSE_DEPTH_PRECISION * disparity)
+    good &= disparity <= pair.fx_px * pair.baseline_m / depth_min_m
+    tracks.place(rows[good], pair, found.z[good], found.R[good])
+    return Placed(rows[good], found.z[good], found.R[good], rows[~fits])

@@ -1,0 +1,156 @@
+"""Where the right camera of a rectified pair sees what the left one sees: the disparity of each feature.
+
+Descriptors along a row find the right corner; the disparity itself then comes from aligning a patch, by
+least squares on the grey values (Lucas and Kanade 1981), for two corners found apart from one another each
+carry their own error. A slanting surface has a disparity that changes over the patch, so that its slopes
+are estimated with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.frontend.vision.image_pair import Features
+from slamcmp.frontend.vision.matching import match_descriptors
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+GrayImage = NDArray[np.uint8]
+
+ROW_TOLERANCE_PX = 1.5
+"""Between the rows of two corners of one point: three deviations of either, and a little of calibration."""
+_HALF_PX = 5
+_SLACK_PX = 3
+"""Columns beside the patch that alignment may reach into."""
+_STEPS = 5
+_SLOPE_SIGMA = 0.15
+"""Expected slope of the disparity over the patch: a floor seen from half a metre has 0.2."""
+_SIGMA_GREY = 8.0
+"""Weight of the grey values against that expectation."""
+_UNLIKE = 0.6
+"""Smallest correlation of two patches of one point."""
+
+
+@dataclass(frozen=True)
+class Disparities:
+    """What stereo matching found for the features (m,) of the left image."""
+
+    disparity_px: FloatArray
+    """u_left - u_right, (m,); NaN where there is none."""
+    no_partner: int
+    """Features without a mutual, unambiguous match on their row."""
+    not_aligned: int
+    """Matches whose patches do not look alike or do not come to rest."""
+
+
+def match_rows(
+    left: Features,
+    right: Features,
+    left_image: GrayImage,
+    right_image: GrayImage,
+    *,
+    disparity_max_px: float,
+    ratio: float = 0.8,
+) -> Disparities:
+    """Disparities (m,) of the left image's features; NaN for those without a sure partner.
+
+    A match is mutual, so that it holds from the right image to the left one as well.
+    """
+    shift = left.xy[:, None, 0] - right.xy[None, :, 0]
+    allowed = np.abs(left.xy[:, None, 1] - right.xy[None, :, 1]) <= ROW_TOLERANCE_PX
+    # A point far away may come out a little behind infinity.
+    allowed &= (shift >= -ROW_TOLERANCE_PX) & (shift <= disparity_max_px)
+    matches = match_descriptors(left.descriptors, right.descriptors, ratio=ratio, allowed=allowed)
+    disparity = np.full(len(left.xy), np.nan)
+    here, there = matches.pairs.T
+    guess = left.xy[here, 0] - right.xy[there, 0]
+    disparity[here] = align_rows(left_image, right_image, left.xy[here], guess)
+    aligned = int(np.isfinite(disparity).sum())
+    return Disparities(disparity, len(left.xy) - len(here), len(here) - aligned)
+
+
+def align_rows(
+    left_image: GrayImage, right_image: GrayImage, xy: FloatArray, guess_px: FloatArray
+) -> FloatArray:
+    """Disparities (m,) that align the patches about left pixels (m, 2), from guesses within two pixels.
+
+    NaN where a patch leaves the image, does not come to rest, or stays unlike.
+    """
+    height, width = left_image.shape
+    column, row = np.rint(xy).astype(np.int64).T
+    whole = np.rint(guess_px).astype(np.int64)
+    reach = _HALF_PX + _SLACK_PX + 1
+    inside = (row >= _HALF_PX) & (row < height - _HALF_PX) & (column >= _HALF_PX)
+    inside &= (column < width - _HALF_PX) & (column - whole >= reach) & (column - whole < width - reach)
+    chosen = np.flatnonzero(inside)
+    answer = np.full(len(xy), np.nan)
+    if chosen.size:
+        column, row, whole = column[chosen], row[chosen], whole[chosen]
+        patch = _patches(left_image, row, column, _HALF_PX)
+        strip = _patches(right_image, row, column - whole, reach)
+        rest, settled = _align(patch, strip, guess_px[chosen] - whole)
+        answer[chosen[settled]] = (whole + rest)[settled]
+    return answer
+
+
+def _align(
+    patch: NDArray[np.float32], strip: NDArray[np.float32], offset: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Offsets d (m,) with strip(x - d - a x - b y) = patch(x, y) up to brightness, and which came to rest."""
+    axis = np.arange(-_HALF_PX, _HALF_PX + 1, dtype=np.float32)
+    x, y = np.broadcast_arrays(axis[None, :], axis[:, None])
+    basis = np.stack([np.ones_like(x), x, y], axis=-1).reshape(-1, 3)
+    flat = (len(patch), -1)
+    wanted = patch.reshape(flat)
+    wanted = wanted - wanted.mean(axis=1, keepdims=True)
+    parameters = np.zeros((len(patch), 3), dtype=np.float32)
+    parameters[:, 0] = offset
+    stiffness = (_SIGMA_GREY / np.array([1e6, _SLOPE_SIGMA, _SLOPE_SIGMA])) ** 2
+    step = np.zeros_like(parameters)
+    for _ in range(_STEPS):
+        seen, slope = _sampled(strip, parameters @ basis.T, x)
+        seen -= seen.mean(axis=1, keepdims=True)
+        slope_mean = slope.mean(axis=1, keepdims=True)
+        J = (slope - slope_mean)[:, :, None] * basis
+        A = np.swapaxes(J, 1, 2) @ J + np.diag(stiffness).astype(np.float32)
+        b = (np.swapaxes(J, 1, 2) @ (seen - wanted)[:, :, None])[:, :, 0] - parameters * stiffness
+        A[:, 0, 0] += np.float32(1e-3)
+        step = np.linalg.solve(A.astype(np.float64), b[:, :, None].astype(np.float64))[:, :, 0]
+        parameters += np.clip(step, -1.0, 1.0).astype(np.float32)
+    seen, _ = _sampled(strip, parameters @ basis.T, x)
+    seen -= seen.mean(axis=1, keepdims=True)
+    norms = np.linalg.norm(seen, axis=1) * np.linalg.norm(wanted, axis=1)
+    alike = (seen * wanted).sum(axis=1) > _UNLIKE * norms
+    moved = np.abs(parameters[:, 0] - offset)
+    settled = alike & (np.abs(step[:, 0]) < 0.05) & (moved < _SLACK_PX - 0.5)
+    return parameters[:, 0].astype(np.float64), settled
+
+
+def _sampled(
+    strip: NDArray[np.float32], shift: NDArray[np.float32], x: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Grey values and their slope along the row at columns x - shift, by linear interpolation."""
+    count, rows, columns = strip.shape
+    side = 2 * _HALF_PX + 1
+    place = columns // 2 + np.broadcast_to(x, (side, side)).reshape(1, -1) - shift
+    place = np.clip(place, 0.0, columns - 1.001)
+    left = place.astype(np.int32)
+    share = place - left
+    top = (rows - side) // 2
+    line = (np.repeat(np.arange(side), side) + top) * columns
+    index = left + line + (np.arange(count) * rows * columns)[:, None]
+    values = strip.reshape(-1)
+    low, high = values[index], values[index + 1]
+    slope = high - low
+    return low + share * slope, slope
+
+
+def _patches(
+    image: GrayImage, row: NDArray[np.int64], column: NDArray[np.int64], half: int
+) -> NDArray[np.float32]:
+    """Patches (m, 2 half_rows + 1, 2 half + 1) about whole pixels; always the patch's own rows."""
+    windows = np.lib.stride_tricks.sliding_window_view(image, (2 * _HALF_PX + 1, 2 * half + 1))
+    return windows[row - _HALF_PX, column - half].astype(np.float32)

@@ -1,0 +1,164 @@
+"""Every point that is being followed: one row each, in arrays, with a small filter in the body frame.
+
+As in the planar front end, each row is a Kalman filter of its own that odometry moves and widens and a
+measurement narrows. Rows share no state, so that a wrong match spoils no other, and no pose is estimated.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+q, C      point in the body frame (T, 3) [m] and its covariance (T, 3, 3)
+y, S      innovation (m, d) and its covariance (m, d, d)
+========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.geometry import exp, inverse, transform
+from slamcmp.models.camera import Camera, StereoCamera
+from slamcmp.models.sensors import body_point_jacobians
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+VIEWS = 8
+"""Sightings that a track remembers: its first one and the latest."""
+_HERE = np.eye(4)
+
+
+@dataclass
+class TrackTable:
+    """Tracks (T,), those with a place in space (``placed``) and those that are rays only."""
+
+    id: IntArray
+    """Of the landmark; -1 until the track is one."""
+    descriptor: NDArray[np.uint8]
+    """Of the last sighting, (T, 32)."""
+    pixel: FloatArray
+    """Of the last sighting, (T, 2)."""
+    age: IntArray
+    """Frames since the last sighting."""
+    sightings: IntArray
+    rejections: IntArray
+    """In a row, by the Mahalanobis test."""
+    placed: BoolArray
+    q: FloatArray
+    C: FloatArray
+    view_pixel: FloatArray
+    """(T, VIEWS, 2), the first sighting, then the latest ones up to the last."""
+    view_back: IntArray
+    """How many images ago each was taken, (T, VIEWS); -1 where there is none."""
+
+    @classmethod
+    def empty(cls) -> TrackTable:
+        """No tracks."""
+        return cls._rays(np.empty((0, 32), np.uint8), np.empty((0, 2)))
+
+    @classmethod
+    def _rays(cls, descriptor: NDArray[np.uint8], pixel: FloatArray) -> TrackTable:
+        count = len(pixel)
+        view_pixel, view_back = np.zeros((count, VIEWS, 2)), np.full((count, VIEWS), -1)
+        view_pixel[:, -1], view_back[:, -1] = pixel, 0
+        return cls(
+            np.full(count, -1),
+            descriptor,
+            pixel,
+            np.zeros(count, np.int64),
+            np.ones(count, np.int64),
+            np.zeros(count, np.int64),
+            np.zeros(count, dtype=bool),
+            np.zeros((count, 3)),
+            np.zeros((count, 3, 3)),
+            view_pixel,
+            view_back,
+        )
+
+    def __len__(self) -> int:
+        return self.id.size
+
+    def keep(self, rows: BoolArray) -> None:
+        """Forget all other rows."""
+        for each in fields(self):
+            setattr(self, each.name, getattr(self, each.name)[rows])
+
+    def add(self, descriptor: NDArray[np.uint8], pixel: FloatArray) -> IntArray:
+        """New tracks, seen once and without a place; their rows."""
+        new = self._rays(descriptor, pixel)
+        first = len(self)
+        for each in fields(self):
+            both = [getattr(self, each.name), getattr(new, each.name)]
+            setattr(self, each.name, np.concatenate(both))
+        return np.arange(first, len(self))
+
+    def move(self, T_prev_body: FloatArray, Q: FloatArray) -> None:
+        """One frame on: carry the placed points into the new body frame, with the increment's doubt."""
+        self.age += 1
+        T_body_prev = inverse(T_prev_body)
+        self.q = np.where(self.placed[:, None], transform(T_body_prev, self.q), 0.0)
+        J, _ = body_point_jacobians(_HERE, self.q)
+        R = T_body_prev[:3, :3]
+        C = R @ self.C @ R.T + J @ Q @ np.swapaxes(J, 1, 2)
+        self.C = np.where(self.placed[:, None, None], C, 0.0)
+
+    def correct_motion(self, xi: FloatArray, Q: FloatArray, Q_left: FloatArray) -> None:
+        """The last increment, moved by with covariance Q, was off by ``xi``, known up to ``Q_left``."""
+        J, _ = body_point_jacobians(_HERE, self.q)
+        J_t = np.swapaxes(J, 1, 2)
+        own = self.C - J @ Q @ J_t
+        T = exp(-xi)
+        R = T[:3, :3]
+        self.q = np.where(self.placed[:, None], transform(T, self.q), 0.0)
+        J, _ = body_point_jacobians(_HERE, self.q)
+        C = R @ own @ R.T + J @ Q_left @ np.swapaxes(J, 1, 2)
+        self.C = np.where(self.placed[:, None, None], 0.5 * (C + np.swapaxes(C, 1, 2)), 0.0)
+
+    def place(self, rows: IntArray, by: StereoCamera, z: FloatArray, R: FloatArray) -> None:
+        """Put points where measurements (m, d) of a pair with covariances (m, d, d) say."""
+        q = by.invert(_HERE, z)
+        _, H = by.jacobians(_HERE, q)
+        J = np.linalg.inv(H)
+        self.q[rows] = q
+        self.C[rows] = J @ R @ np.swapaxes(J, 1, 2)
+        self.placed[rows] = True
+
+    def predicted(self, rows: IntArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
+        """Measurements (m, d) to expect and their covariances (m, d, d) by the points' own uncertainty."""
+        q = self.q[rows]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            predicted, _, H = camera.linearise(_HERE, q)
+            return predicted, H @ self.C[rows] @ np.swapaxes(H, 1, 2)
+
+    def distances(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> FloatArray:
+        """Squared Mahalanobis distances (m,) of measurements (m, d) from what the rows predict."""
+        expected, S = self.predicted(rows, camera)
+        y = camera.residual(z, expected)
+        squared: FloatArray = (y * np.linalg.solve(S + R, y[:, :, None])[:, :, 0]).sum(axis=1)
+        return squared
+
+    def correct(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> None:
+        """The Kalman update of each row with its measurement."""
+        predicted, _, H = camera.linearise(_HERE, self.q[rows])
+        C, H_t = self.C[rows], np.swapaxes(H, 1, 2)
+        K = C @ H_t @ np.linalg.inv(H @ C @ H_t + R)
+        self.q[rows] += (K @ camera.residual(z, predicted)[:, :, None])[:, :, 0]
+        # Joseph form: symmetric and positive over thousands of sightings.
+        A = np.eye(3) - K @ H
+        self.C[rows] = A @ C @ np.swapaxes(A, 1, 2) + K @ R @ np.swapaxes(K, 1, 2)
+
+    def see(self, rows: IntArray, descriptor: NDArray[np.uint8], pixel: FloatArray) -> None:
+        """Note a sighting of each row in the present image."""
+        self.descriptor[rows], self.pixel[rows] = descriptor, pixel
+        self.age[rows], self.rejections[rows] = 0, 0
+        self.sightings[rows] += 1
+        # Of a full list the second goes: the oldest has the most parallax.
+        full = self.view_back[rows, 0] >= 0
+        for views in (self.view_pixel, self.view_back):
+            oldest = views[rows, 0]
+            views[rows, :-1] = views[rows, 1:]
+            views[rows[full], 0] = oldest[full]
+        self.view_pixel[rows, -1], self.view_back[rows, -1] = pixel, 0

@@ -1,0 +1,359 @@
+"""Follow points from image to image and measure those that are landmarks.
+
+An image goes through the course's three steps: features; association, by descriptor among the features near
+a track's predicted place; outlier rejection, by the epipolar geometry of the last two images and then by
+the Mahalanobis test against the prediction. What passes corrects the tracks' own filters and is handed on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from slamcmp.errors import UsageError
+from slamcmp.frontend.vision.common_motion import common_motion
+from slamcmp.frontend.vision.epipolar_test import epipolar_test
+from slamcmp.frontend.vision.image_pair import Features, extract_features
+from slamcmp.frontend.vision.matching import match_descriptors
+from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
+from slamcmp.frontend.vision.placing import place_rays
+from slamcmp.frontend.vision.search_windows import Windows, search_windows
+from slamcmp.frontend.vision.suppression import suppress_cells
+from slamcmp.frontend.vision.track_table import TrackTable
+from slamcmp.frontend.vision.triangulation import PoseHistory
+from slamcmp.frontend.vision.wrong_matches import MatchRecord, spoil_matches
+from slamcmp.image_files import image_problem
+from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
+from slamcmp.models.motion import compose_increments
+from slamcmp.types import CameraFrame, Detections
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+STAGES = ("unmatched", "epipolar", "mahalanobis", "no_depth", "no_parallax", "unconfirmed")
+"""Why a feature is no measurement: no track claims it, a test, no depth, or a track that is no landmark
+yet."""
+UNMATCHED, EPIPOLAR, MAHALANOBIS, NO_DEPTH, NO_PARALLAX, UNCONFIRMED, KEPT, ENTERED = range(len(STAGES) + 2)
+_SEARCH_FACTOR = 2.0
+"""On the Mahalanobis test's limit: an honest test needs candidates that fail it."""
+_REJECTIONS_MAX = 3
+_HISTORY = 120
+"""Images that a ray may wait for its parallax."""
+_SPACING_PX = 12.0
+_WIDEST_PX = 25.0
+_MATCHES_MIN = 12
+"""Fewer do not hold a pose well: the common motion is not asked, and new points count without waiting."""
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """The parameters of :func:`slamcmp.frontend.tracked_features.tracked_features`."""
+
+    features: int
+    followed: int
+    ratio: float
+    threshold_px: float
+    gate_probability: float
+    noise: Noise
+    min_sightings: int
+    memory: int
+    parallax_min_deg: float
+    depth_min_m: float
+    wrong_match_share: float
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one image gave."""
+
+    detections: Detections
+    entries: Detections | None
+    kept: BoolArray
+    """Which features became a measurement or an entry, (features,)."""
+    counts: tuple[int, ...]
+    """Features, what each of STAGES took, and what was kept."""
+    event: str
+    """Why the image was skipped, or why its epipolar test was; empty in the normal case."""
+    times_ms: dict[str, float]
+    matches: MatchRecord | None = None
+
+
+class FeatureTracker:
+    """From one camera's images and odometry to measurements of landmarks.
+
+    Args:
+        camera: what the images were taken with.
+        settings: the front end's parameters.
+        generator: for RANSAC's samples, and for wrong matches where they are asked for.
+
+    Raises:
+        UsageError: the sensor is not a camera.
+    """
+
+    def __init__(self, camera: object, settings: TrackingSettings, generator: np.random.Generator) -> None:
+        if not isinstance(camera, Camera):
+            raise UsageError(
+                "tracked_features follows points in a camera's images; the log's sensor is "
+                f"{getattr(camera, 'name', camera)!r}"
+            )
+        self._settings = settings
+        self._generator = generator
+        self._needs_right = isinstance(camera, StereoCamera)
+        self._needs_depth = isinstance(camera, RgbdCamera)
+        self.sensor, self._measure = measuring(
+            camera, settings.noise, features=settings.features, depth_min_m=settings.depth_min_m
+        )
+        self._image_camera = MonoCamera(
+            fx_px=camera.fx_px,
+            fy_px=camera.fy_px,
+            cx_px=camera.cx_px,
+            cy_px=camera.cy_px,
+            T_body_camera=camera.T_body_camera,
+        )
+        self._tracks = TrackTable.empty()
+        self._history = PoseHistory(_HISTORY)
+        self._since_image = np.eye(4), np.zeros((6, 6))
+        self._gap = 0
+        """Frames since the last image that could be used."""
+        self._size: tuple[int, int] | None = None
+        self._frame = -1
+        self._next_id = 0
+        share = settings.gate_probability
+        self._gate = float(chdtri(self.sensor.dim, 1.0 - share))
+        self._pixel_gate = float(chdtri(2, 1.0 - share))
+
+    def step(self, frame: CameraFrame, T_prev_body: FloatArray, Q: FloatArray) -> Sighting:
+        """Take in the next frame and the odometry that led to it; a bad image leaves only the odometry."""
+        tracks = self._tracks
+        self._frame += 1
+        self._gap += 1
+        tracks.move(T_prev_body, Q)
+        self._since_image = compose_increments(self._since_image, (T_prev_body, Q))
+        problem = self._problem(frame)
+        if problem:
+            tracks.keep(tracks.age <= self._settings.memory)
+            return self._nothing(problem)
+        assert frame.image is not None
+        clock = _Clock()
+        self._size = frame.image.shape[1], frame.image.shape[0]
+        features = extract_features(frame.image, count=self._settings.features)
+        clock.lap("features")
+        measured = self._measure(frame, features)
+        clock.lap("depth")
+        windows = self._look_ahead()
+        clock.lap("prediction")
+        which, chosen = self._match(windows, features)
+        rows = windows.rows[which]
+        clock.lap("matching")
+        epipolar, event = epipolar_test(
+            tracks,
+            rows,
+            features.xy[chosen],
+            self._image_camera,
+            self._history,
+            seed=int(self._generator.integers(2**31)),
+            threshold_px=self._settings.threshold_px,
+        )
+        clock.lap("verification")
+        agrees = self._agrees(windows, which, features.xy[chosen], measured, chosen)
+        self._sharpen(rows, chosen, measured, epipolar & agrees)
+        agrees &= self._agrees(windows, which, features.xy[chosen], measured, chosen)
+        passed = epipolar & agrees
+        record = MatchRecord(
+            self._frame, tracks.age[rows], tracks.pixel[rows], features.xy[chosen], epipolar, passed
+        )
+        tracks.rejections[rows[~passed]] += 1
+        fates = np.where(epipolar, MAHALANOBIS, EPIPOLAR)
+        fates[passed], entries = self._correct(rows[passed], chosen[passed], features, measured)
+        kept = fates == KEPT
+        new, new_rows = self._start(features, chosen, measured, self._settings.followed - int(passed.sum()))
+        if kept.sum() >= _MATCHES_MIN:
+            new, new_rows = new[:0], new_rows[:0]
+        seen, seen_rows = np.concatenate([chosen[kept], new]), np.concatenate([rows[kept], new_rows])
+        self._name(seen_rows)
+        detections = Detections(measured.z[seen], measured.R[seen], tracks.id[seen_rows])
+        self._forget()
+        self._gap = 0
+        self._since_image = np.eye(4), np.zeros((6, 6))
+        clock.lap("tracks")
+        counts = np.bincount(fates, minlength=ENTERED + 1)
+        counts[UNMATCHED] = len(features.xy) - len(rows) - len(new)
+        counts[KEPT] += len(new) + counts[ENTERED]
+        mask = np.zeros(len(features.xy), dtype=bool)
+        mask[seen] = mask[chosen[fates == ENTERED]] = True
+        return Sighting(
+            detections,
+            entries,
+            mask,
+            (len(features.xy), *counts[:ENTERED].tolist()),
+            event,
+            clock.times_ms,
+            record,
+        )
+
+    def _problem(self, frame: CameraFrame) -> str:
+        """Why the frame cannot be used; the first image that can sets the size of all."""
+        if frame.image is None:
+            return frame.problem or "no image"
+        problem = image_problem(frame.image, size=self._size)
+        if problem:
+            return problem
+        size = frame.image.shape[1], frame.image.shape[0]
+        if self._needs_right:
+            problem = image_problem(frame.right, size=size)
+            return f"right image: {problem}" if problem else ""
+        if self._needs_depth:
+            if frame.depth_m is None:
+                return "no depth image"
+            if frame.depth_m.shape != frame.image.shape:
+                return "depth image of another size"
+        return ""
+
+    def _nothing(self, event: str) -> Sighting:
+        nobody, d = np.zeros(0, dtype=bool), self.sensor.dim
+        return Sighting(
+            Detections(np.empty((0, d)), np.empty((0, d, d)), np.empty(0, np.int64)),
+            None,
+            nobody,
+            (0,) * (len(STAGES) + 2),
+            event,
+            {},
+        )
+
+    def _look_ahead(self) -> Windows:
+        """Windows in the new image, after the history has come up to it."""
+        self._history.advance(*self._since_image)
+        back = self._tracks.view_back
+        back[back >= 0] += 1
+        # What is older than the history has lost its pose.
+        back[back >= len(self._history.T_view)] = -1
+        assert self._size is not None
+        return search_windows(
+            self._tracks,
+            self._image_camera,
+            self._history,
+            self._size,
+            sigma_px=self._settings.noise.sigma_px,
+            depth_min_m=self._settings.depth_min_m,
+            widest_px=_WIDEST_PX,
+        )
+
+    def _match(self, windows: Windows, features: Features) -> tuple[IntArray, IntArray]:
+        """Windows and features that belong together, (m,) and (m,)."""
+        settings = self._settings
+        allowed = windows.near(features.xy, _SEARCH_FACTOR * self._pixel_gate)
+        matches = match_descriptors(
+            self._tracks.descriptor[windows.rows], features.descriptors, ratio=settings.ratio, allowed=allowed
+        )
+        which, chosen = matches.pairs.T
+        if settings.wrong_match_share > 0:
+            chosen = spoil_matches(chosen, len(features.xy), settings.wrong_match_share, self._generator)
+        return which, chosen
+
+    def _agrees(
+        self, windows: Windows, which: IntArray, now: FloatArray, measured: Measured, chosen: IntArray
+    ) -> BoolArray:
+        """The Mahalanobis test: of the whole measurement, else of the pixel; for rays by their window."""
+        rows = windows.rows[which]
+        agrees: BoolArray = windows.distances(which, now) <= self._pixel_gate
+        placed, valid = self._tracks.placed[rows], measured.valid[chosen]
+        whole, pixel_only = np.flatnonzero(placed & valid), np.flatnonzero(placed & ~valid)
+        squared = self._tracks.distances(
+            rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]]
+        )
+        agrees[whole] = squared <= self._gate
+        R = np.tile(self._settings.noise.sigma_px**2 * np.eye(2), (pixel_only.size, 1, 1))
+        squared = self._tracks.distances(rows[pixel_only], self._image_camera, now[pixel_only], R)
+        agrees[pixel_only] = squared <= self._pixel_gate
+        return agrees
+
+    def _sharpen(self, rows: IntArray, chosen: IntArray, measured: Measured, trusted: BoolArray) -> None:
+        """Move all tracks by what the trusted matches say together about the odometry's error."""
+        tracks = self._tracks
+        which = np.flatnonzero(trusted & tracks.placed[rows] & measured.valid[chosen])
+        if len(which) < _MATCHES_MIN:
+            return
+        q, z, R = tracks.q[rows[which]], measured.z[chosen[which]], measured.R[chosen[which]]
+        expected, H, H_point = self.sensor.linearise(np.eye(4), q)
+        _, Q = self._since_image
+        S = H_point @ tracks.C[rows[which]] @ np.swapaxes(H_point, 1, 2) - H @ Q @ np.swapaxes(H, 1, 2) + R
+        xi, left = common_motion(self.sensor.residual(z, expected), S, H, Q)
+        tracks.correct_motion(xi, Q, left)
+
+    def _correct(
+        self, rows: IntArray, chosen: IntArray, features: Features, measured: Measured
+    ) -> tuple[IntArray, Detections | None]:
+        """Correct the tracks and place what can be placed: the fate of each match, and the entries."""
+        tracks, settings = self._tracks, self._settings
+        placed, valid = tracks.placed[rows], measured.valid[chosen]
+        whole, pixel_only = placed & valid, placed & ~valid
+        tracks.correct(rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]])
+        R = np.tile(settings.noise.sigma_px**2 * np.eye(2), (int(pixel_only.sum()), 1, 1))
+        tracks.correct(rows[pixel_only], self._image_camera, features.xy[chosen[pixel_only]], R)
+        tracks.see(rows, features.descriptors[chosen], features.xy[chosen])
+        fate = np.full(len(rows), NO_PARALLAX)
+        fate[placed] = np.where(tracks.sightings[rows[placed]] >= settings.min_sightings, KEPT, UNCONFIRMED)
+        fate[(fate == KEPT) & ~valid] = NO_DEPTH
+        new = place_rays(
+            tracks,
+            rows[~placed],
+            self._image_camera,
+            self._history,
+            sigma_px=settings.noise.sigma_px,
+            parallax_min_deg=settings.parallax_min_deg,
+            depth_min_m=settings.depth_min_m,
+            gate_probability=settings.gate_probability,
+        )
+        tracks.rejections[new.contradicted] = _REJECTIONS_MAX
+        self._name(new.rows)
+        fate[np.isin(rows, new.rows)] = ENTERED
+        return fate, Detections(new.z, new.R, tracks.id[new.rows]) if new.rows.size else None
+
+    def _name(self, rows: IntArray) -> None:
+        """Give new landmarks their ids; none is ever used again."""
+        nameless = rows[self._tracks.id[rows] < 0]
+        self._tracks.id[nameless] = np.arange(self._next_id, self._next_id + nameless.size)
+        self._next_id += nameless.size
+
+    def _start(
+        self, features: Features, taken: IntArray, measured: Measured, wanted: int
+    ) -> tuple[IntArray, IntArray]:
+        """New tracks from features that are left, spread over the image; the features, and the new rows.
+
+        The rows are empty for rays: only a measurement that places a point makes a landmark.
+        """
+        free = measured.valid.copy()
+        free[taken] = False
+        apart = np.abs(features.xy[:, None] - features.xy[taken]).max(axis=2)
+        candidates = np.flatnonzero(free & (apart > _SPACING_PX).all(axis=1))
+        if wanted <= 0 or not candidates.size:
+            return np.empty(0, np.int64), np.empty(0, np.int64)
+        spread = suppress_cells(features.xy[candidates], features.response[candidates], wanted)
+        new = candidates[spread]
+        rows = self._tracks.add(features.descriptors[new], features.xy[new])
+        if not isinstance(self.sensor, StereoCamera):
+            return new[:0], rows[:0]
+        self._tracks.place(rows, self.sensor, measured.z[new], measured.R[new])
+        return new, rows
+
+    def _forget(self) -> None:
+        """Landmarks are remembered for a while; what is none yet must be seen in every image."""
+        tracks = self._tracks
+        patience = np.where(tracks.id >= 0, self._settings.memory, 0)
+        tracks.keep((tracks.age <= patience) & (tracks.rejections < _REJECTIONS_MAX))
+
+
+@dataclass
+class _Clock:
+    times_ms: dict[str, float] = field(default_factory=dict)
+    _since: float = field(default_factory=perf_counter)
+
+    def lap(self, name: str) -> None:
+        now = perf_counter()
+        self.times_ms[name] = 1e3 * (now - self._since)
+        self._since = now
