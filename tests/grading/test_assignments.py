@@ -13,10 +13,11 @@ import pytest
 
 from slamcmp.backends.sliding_window import SlidingWindow
 from slamcmp.experiment.config_errors import ConfigError
-from slamcmp.grading.assignment import SHIPPED, find_assignment, load_assignment
+from slamcmp.grading.assignment import SHIPPED, find_assignment, load_assignment, load_source
 from slamcmp.grading.grader import Grading
 from slamcmp.grading.publish import InProcess, check_publishable
 
+SECRET = b"a secret of the tests"
 NAMES = sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml"))
 
 
@@ -65,6 +66,68 @@ def test_a_smoother_in_place_of_the_ekf_is_caught(name: str, back_end: str, lost
     # More accurate than what was asked for, and not it.
     assert tests["Accuracy"].score == tests["Accuracy"].max_score
     assert [tests[test].score for test in lost] == [0.0] * len(lost)
+
+
+FRONT_END_BY_OTHER_MEANS = """
+import random
+
+def samples_needed(share, confidence):
+    clean = share**SAMPLE
+    return 1 if clean == 1 else int(np.ceil(np.log(1 - confidence) / np.log1p(-clean)))
+
+def eigen_fit(first, second):
+    (x1, T1), (x2, T2) = normalised(first), normalised(second)
+    A = np.array([np.kron(two, one) for one, two in zip(x1, x2)])
+    F = np.linalg.eigh(A.T @ A)[1][:, 0].reshape(3, 3)
+    U, s, Vt = np.linalg.svd(F)
+    return scaled(-T2.T @ (F - s[2] * np.outer(U[:, 2], Vt[2])) @ T1)
+
+fundamental_least_squares = eigen_fit
+
+def ransac_fundamental(first, second, threshold_px, confidence, samples_max, seed):
+    draws, best, needed, drawn = random.Random(seed), [], samples_max, 0
+    while drawn < needed:
+        drawn += 1
+        sample = draws.sample(range(len(first)), SAMPLE)
+        F = eigen_fit(first[sample], second[sample])
+        inliers = np.flatnonzero(sampson_distance(F, first, second) <= threshold_px)
+        if len(inliers) > len(best):
+            best = inliers
+            needed = min(samples_max, samples_needed(len(best) / len(first), confidence))
+    for _ in range(20):
+        F = eigen_fit(first[best], second[best])
+        best = np.flatnonzero(sampson_distance(F, first, second) <= threshold_px)
+    return F, np.isin(np.arange(len(first)), best)
+"""
+LEAST_SQUARES_FOR_RANSAC = """
+def ransac_fundamental(first, second, threshold_px, confidence, samples_max, seed):
+    F = fundamental_least_squares(first, second)
+    return F, sampson_distance(F, first, second) <= threshold_px
+"""
+
+
+def front_end_scores(more: str, *names: str) -> tuple[dict[str, float], dict[str, str]]:
+    assignment = load_assignment(find_assignment("front_end"))
+    assignment = replace(
+        assignment, tests=tuple(test for test in assignment.tests if not names or test.fields.name in names)
+    )
+    module = load_source("front_end_of_ada", assignment.solution_source + more, Path("ada.py"))
+    tests = Grading(assignment, "ada", SECRET).run(InProcess(module), lambda outcome: None).tests
+    return {test.name: test.score for test in tests}, {test.name: test.message for test in tests}
+
+
+def test_a_right_front_end_with_other_draws_and_other_algebra_earns_everything() -> None:
+    scores, messages = front_end_scores(FRONT_END_BY_OTHER_MEANS)
+    assert sum(scores.values()) == pytest.approx(100), messages
+
+
+def test_least_squares_in_place_of_ransac_is_caught() -> None:
+    relevant = ("Least squares", "RANSAC", "The majority decides")
+    scores, messages = front_end_scores(LEAST_SQUARES_FOR_RANSAC, *relevant)
+    # F itself is so near in one case of four that it earns a five-hundredth.
+    assert [scores[name] for name in relevant] == [10, pytest.approx(0, abs=0.1), 0]
+    cause = "Your F is the least-squares fit to all matches"
+    assert [messages[name].startswith(cause) for name in relevant] == [False, True, True]
 
 
 def test_mistakes_in_the_specification_have_a_place(tmp_path: Path) -> None:

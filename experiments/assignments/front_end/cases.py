@@ -355,7 +355,7 @@ def outliers(functions, generator):
     """Errors in places where matches without noise ought to be on the epipolar lines."""
     share = generator.uniform(0.3, 0.5)
     first, second, T_2_1, _ = matches(generator, 200, share, 0.25, WRONG_PX)
-    F, _ = robust(functions, generator, first, second, samples_max=6000)
+    F, _ = robust(functions, generator, first, second, samples_max=4000)
     return Track(np.arange(60.0), distances(F, *seen_twice(generator, T_2_1, 60))[:, None])
 
 
