@@ -62,9 +62,14 @@ def write(results: Results) -> Path:
     return path
 
 
-def assert_reproduces(results: Results, name: str) -> None:
-    """Every value is that of ``results/reference/NAME.json``."""
-    expected = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+def read(name: str) -> dict[str, Any]:
+    """The content of ``results/reference/NAME.json``."""
+    content: dict[str, Any] = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    return content
+
+
+def assert_reproduces(results: Results, expected: dict[str, Any]) -> None:
+    """Every value is that of the committed summary ``expected``."""
     known = {_key(value): value["measured"] for value in expected["values"]}
     found = {_key(value): value["measured"] for value in summary(results)["values"]}
     assert found == pytest.approx(known, rel=SAME)
