@@ -195,9 +195,12 @@ def put_together(functions, generator):
 
 
 def smoothed(functions, generator):
-    """A whole graph solved: every pose, every landmark, and what is known about the last pose."""
+    """A whole graph solved from far away: poses, landmarks, and what is known about the last pose."""
     _, problem, frames = simulate(generator, 10, sight=3)
-    parts = functions.call("smooth", *graph_of(problem, frames), 5)
+    graph, poses, landmarks = graph_of(problem, frames)
+    poses = np.array([T @ exp(generator.normal(size=3) * [0.3, 0.3, 0.15]) for T in poses])
+    landmarks = landmarks + 0.3 * generator.normal(size=landmarks.shape)
+    parts = functions.call("smooth", graph, poses, landmarks, 6)
     return np.concatenate([np.ravel(part) for part in parts])
 
 
