@@ -84,6 +84,23 @@ def test_distances_are_those_of_the_whole_state_propagated_by_brute_force(
         assert distances[i] == pytest.approx(y @ np.linalg.inv(S) @ y, rel=1e-6)
 
 
+@pytest.mark.parametrize("name", ["ekf_slam", "ekf_world", "ekf_right_invariant"])
+def test_a_lone_observations_distance_is_the_filters_own_nis(name: str) -> None:
+    """Where Jacobians are the latest estimate's, the gate's S is the one that the filter works with."""
+    stream, _, _ = toy_stream(frames=60, seen_at_once=1, landmarks=4)
+    back_end = make(name, stream.problem)
+    gate = OwnGate(back_end, stream.problem, 0.5)
+    compared = 0
+    for frame in stream.frames:
+        (distance,) = gate._squared_distances(frame)
+        back_end.update(frame)
+        gate._seen.update(frame.ids.tolist())
+        if not np.isnan(distance):
+            assert back_end.diagnostics()["nis"] == pytest.approx(distance, rel=1e-8)
+            compared += 1
+    assert compared == 60 - 4
+
+
 def test_s_is_the_spread_of_simulated_innovations() -> None:
     """Closed form against sampling: 20 000 draws of pose, landmark, odometry and sensor noise, within 5 %."""
     rng = np.random.default_rng(3)
