@@ -91,7 +91,7 @@ def flipped(generator, bits, share):
 def described(generator, features=40):
     """Descriptors of two pictures: with the same features, with twins of some, and with others.
 
-    No two distances are so alike that the answer would hang on the order of the features.
+    No distances are so alike that the answer would hang on rounding or on the order of the features.
     """
     while True:
         bits = generator.uniform(size=(features, BITS)) < 0.5
@@ -103,9 +103,9 @@ def described(generator, features=40):
         ratio = generator.uniform(0.7, 0.85)
         one, two = first.astype(float), second.astype(float)
         distance = one @ (1 - two).T + (1 - one) @ two.T
-        rows, columns = np.sort(distance, axis=1), np.sort(distance, axis=0)
-        close = np.abs(rows[:, 0] - ratio * rows[:, 1]).min() < 1e-3
-        if not close and (rows[:, 0] < rows[:, 1]).all() and (columns[0] < columns[1]).all():
+        closest, after = np.sort(distance, axis=1)[:, :2].T
+        columns = np.sort(distance, axis=0)[:, distance.argmin(axis=1)[closest < ratio * after]]
+        if np.abs(closest - ratio * after).min() > 1e-3 and (columns[0] < columns[1]).all():
             return first, second, ratio
 
 
