@@ -1,12 +1,14 @@
 """How far the estimated trajectory and map are from the true ones.
 
-ATE and RPE follow Sturm et al. 2012, "A benchmark for the evaluation of RGB-D SLAM systems", eq. 1-4. A run
-that ended early is scored on its finished frames; ``completion`` tells how many those are.
+ATE and RPE over a frame follow Sturm et al. 2012, "A benchmark for the evaluation of RGB-D SLAM systems", eq.
+1-4; RPE per metre follows Geiger et al. 2012 (see :func:`segment_errors`). A run that ended early is
+scored on its finished frames; ``completion`` tells how many those are.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,28 @@ def rpe_translation(trajectory: Trajectory, truth: GroundTruth, *, delta_frames:
 def rpe_rotation_deg(trajectory: Trajectory, truth: GroundTruth, *, delta_frames: int = 1) -> float:
     """Relative pose error: root-mean-square rotation error of the motion over one frame, all pairs."""
     return math.degrees(_rms(rotation_angle(rotation(_relative_errors(trajectory, truth, delta_frames)))))
+
+
+@metrics.register("rpe_per_metre", unit="%", header="RPE per metre", **_TRAJECTORY)
+def rpe_per_metre(
+    trajectory: Trajectory, truth: GroundTruth, *, lengths_m: Sequence[float] | None = None
+) -> float:
+    """Mean translation error of the motion over segments of the true path, in percent of their length."""
+    errors, driven = segment_errors(trajectory, truth, lengths_m)
+    if not driven.size:
+        return math.nan
+    return 100.0 * float(np.mean(np.linalg.norm(translation(errors), axis=-1) / driven))
+
+
+@metrics.register("rpe_rotation_deg_per_m", unit="deg/m", header="RPE rotation per metre", **_TRAJECTORY)
+def rpe_rotation_deg_per_m(
+    trajectory: Trajectory, truth: GroundTruth, *, lengths_m: Sequence[float] | None = None
+) -> float:
+    """Mean rotation error of the motion over segments of the true path, per metre of their length."""
+    errors, driven = segment_errors(trajectory, truth, lengths_m)
+    return (
+        math.degrees(float(np.mean(rotation_angle(rotation(errors)) / driven))) if driven.size else math.nan
+    )
 
 
 @metrics.register("heading_rmse_deg", unit="deg", header="heading RMSE", **_TRAJECTORY)
@@ -120,6 +144,33 @@ def trajectory_alignment(trajectory: Trajectory, truth: GroundTruth) -> Alignmen
         return align_points(translation(estimated), translation(true))
     except DataError:
         return None
+
+
+def segment_errors(
+    trajectory: Trajectory, truth: GroundTruth, lengths_m: Sequence[float] | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Errors (S, n+1, n+1) of the motion over segments of the true path, and the segments' lengths [m], (S,).
+
+    After the odometry benchmark of Geiger, Lenz and Urtasun 2012, "Are we ready for autonomous driving?",
+    sec. 3: from every frame one segment of each length, to the first frame that is so far along the true
+    path. There the lengths are 100 to 800 m of a drive of a kilometre or more; here 10 % to 80 % of the whole
+    true path unless given, the same for every run on the log. Errors are taken over the length that was
+    driven, not the nominal one, so that the distance between frames does not matter; every frame starts
+    segments, not every tenth. No segment fits: empty.
+    """
+    estimated, true = matched_poses(trajectory, truth)
+    steps = np.linalg.norm(np.diff(translation(truth.T_world_body), axis=0), axis=-1)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    lengths = path[-1] * np.arange(1, 9) / 10.0 if lengths_m is None else np.asarray(lengths_m, dtype=float)
+    path = path[: len(true)]
+    starts = np.tile(np.arange(len(true)), lengths.size)
+    # A hair less: sums of equal steps fall on either side of their product.
+    goals = path[starts] + np.repeat(lengths, len(true)) * (1.0 - 1e-9)
+    ends = np.searchsorted(path, goals)
+    fits = (ends < len(true)) & (ends > starts)
+    starts, ends = starts[fits], ends[fits]
+    moved, moved_true = (inverse(poses[starts]) @ poses[ends] for poses in (estimated, true))
+    return inverse(moved_true) @ moved, path[ends] - path[starts]
 
 
 def _relative_errors(trajectory: Trajectory, truth: GroundTruth, delta_frames: int) -> FloatArray:

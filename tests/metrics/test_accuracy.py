@@ -25,6 +25,44 @@ def test_errors_of_a_straight_line(truth_of, trajectory_of):
     assert accuracy.rpe_rotation_deg(trajectory, truth) == 0
 
 
+def test_error_per_metre_of_a_wheel_that_is_measured_too_small(truth_of, trajectory_of):
+    """Odometry that reports 2 % too much is off by 2 % on every segment, however far apart frames are."""
+    x = np.cumsum(np.concatenate([[0.0], np.random.default_rng(0).uniform(0.1, 0.9, 60)]))
+    truth, trajectory = truth_of(se2(x, 0, 0)), trajectory_of(se2(1.02 * x, 0, 0))
+    assert accuracy.rpe_per_metre(trajectory, truth) == pytest.approx(2.0, rel=1e-10)
+    assert accuracy.rpe_per_metre(trajectory, truth, lengths_m=[3.0]) == pytest.approx(2.0, rel=1e-10)
+    assert accuracy.rpe_rotation_deg_per_m(trajectory, truth) == 0
+
+
+def test_error_per_metre_of_a_drifting_gyroscope(truth_of, trajectory_of):
+    """Half a degree too much a metre; where the world lies and is turned does not matter."""
+    t = np.arange(41.0)
+    drift = math.radians(0.5)
+    truth = truth_of(se2(t, 0, 0))
+    arc = exp(np.stack([t, 0 * t, drift * t], axis=1))
+    for moved in (np.eye(3), se2(30.0, -4.0, 2.0)):
+        trajectory = trajectory_of(moved @ arc)
+        assert accuracy.rpe_rotation_deg_per_m(trajectory, truth) == pytest.approx(0.5, rel=1e-10)
+        # A segment of L metres is an arc whose end is off by the chord's difference to (L, 0).
+        chord = exp(np.array([8.0, 0.0, 8 * drift]))[:2, 2] - [8.0, 0.0]
+        found = accuracy.rpe_per_metre(trajectory, truth, lengths_m=[8.0])
+        assert found == pytest.approx(100 * np.linalg.norm(chord) / 8.0, rel=1e-10)
+
+
+def test_segments_begin_at_every_frame_and_end_on_the_true_path(truth_of, trajectory_of):
+    """Ten metres: segments of 1 to 8 m from 10, 9, … 3 frames; of a run that ended at 4 m, those that fit."""
+    truth = truth_of(se2(np.arange(11.0), 0, 0))
+    _, driven = accuracy.segment_errors(trajectory_of(truth.T_world_body), truth)
+    lengths, counts = np.unique(driven, return_counts=True)
+    assert lengths.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert counts.tolist() == [10, 9, 8, 7, 6, 5, 4, 3]
+    _, driven = accuracy.segment_errors(trajectory_of(truth.T_world_body[:5]), truth)
+    assert sorted(driven.tolist()) == [1, 1, 1, 1, 2, 2, 2, 3, 3, 4]
+    standing = truth_of(se2(np.zeros(5), 0, 0))
+    assert math.isnan(accuracy.rpe_per_metre(trajectory_of(standing.T_world_body), standing))
+    assert math.isnan(accuracy.rpe_rotation_deg_per_m(trajectory_of(standing.T_world_body), standing))
+
+
 def test_heading_error_wraps(truth_of, trajectory_of):
     truth = truth_of(se2(0, 0, [math.pi - 0.05, 0.0]))
     trajectory = trajectory_of(se2(0, 0, [-math.pi + 0.05, 0.2]))
