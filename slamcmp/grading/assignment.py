@@ -11,6 +11,7 @@ import functools
 import hashlib
 import json
 import sys
+import sysconfig
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,9 @@ from slamcmp.grading.outcome import Visibility
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.registry import Plugin, did_you_mean, test_kinds
 
-SHIPPED = Path(__file__).resolve().parents[2] / "experiments" / "assignments"
+_CHECKOUT = Path(__file__).resolve().parents[2] / "experiments" / "assignments"
+_INSTALLED = Path(sysconfig.get_path("data"), "share", "slamcmp", "experiments", "assignments")
+SHIPPED = _CHECKOUT if _CHECKOUT.is_dir() else _INSTALLED
 
 
 class LimitFields(BaseModel):
