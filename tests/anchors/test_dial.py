@@ -20,5 +20,5 @@ def test_the_whole_dial(tmp_path: Path) -> None:
     ate = results.trials.pivot(index="seed", columns="label", values="online_ate")
     for window in (1, 2, 5, 10, 20, 50):
         assert (ate[f"frozen {window}"] - ate["EKF"]).abs().max() < 1e-6
-    assert (ate["latest 1"] - ate["iterated EKF"]).abs().median() < 1e-4
+    assert (ate["latest 1"] - ate["iterated EKF"]).abs().median() < 1e-3
     assert ate["full smoothing"].median() < ate["EKF"].median()
