@@ -176,10 +176,14 @@ class Checker:
     def until(self, rule: StopRule, seeds: Sequence[int | None], back_ends: int) -> None:
         # It loads every metric; most experiments do not need it.
         from slamcmp.metrics import metric_columns
+        from slamcmp.metrics.information import KL
 
         known = metric_columns()
         if rule.metric not in known:
             what = f"until: there is no metric {rule.metric!r}{did_you_mean(rule.metric, known)}"
+            self._errors.add(("until", "metric"), what)
+        elif rule.metric.startswith(KL):
+            what = f"until: {rule.metric!r} is only known when all runs are compared; choose another metric"
             self._errors.add(("until", "metric"), what)
         if seeds == (None,):
             self._errors.add(("until",), "until: the source is recorded data: it has no seeds to add")

@@ -140,6 +140,10 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     path.write_text(json.dumps(fields | {"study": {"observabilty": True}}))
     with pytest.raises(UsageError, match="did you mean 'observability'"):
         load_experiment(path)
+    known_too_late = {"study": {}, "until": {"metric": "kl_from_batch", "half_width": 0.1}}
+    path.write_text(json.dumps(fields | known_too_late))
+    with pytest.raises(UsageError, match="'kl_from_batch' is only known when all runs are compared"):
+        load_experiment(path)
     path.write_text(json.dumps(fields | {"study": {"every": 0}}))
     with pytest.raises(UsageError, match="every"):
         load_experiment(path)
