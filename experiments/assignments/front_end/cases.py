@@ -3,6 +3,7 @@
 import numpy as np
 
 from slamcmp.geometry import exp, hat, inverse, transform
+from slamcmp.grading.sandbox.errors import StudentError
 from slamcmp.grading.scoring import as_array
 from slamcmp.grading.trial import Case, Track
 
@@ -223,7 +224,10 @@ def outlier_scenes(reference, generator):
 
 def robust(functions, generator, first, second, *, threshold_px=THRESHOLD_PX, samples_max=400):
     arguments = (threshold_px, 0.999, samples_max, int(generator.integers(1 << 30)))
-    F, inliers = functions.call("ransac_fundamental", first, second, *arguments)
+    answer = functions.call("ransac_fundamental", first, second, *arguments)
+    if not isinstance(answer, list | tuple) or len(answer) != 2:
+        raise StudentError("TypeError", "ransac_fundamental has to return two things, F and the inliers")
+    F, inliers = answer
     F = as_array(F, (3, 3), "F of ransac_fundamental")
     return F, as_array(inliers, (len(first),), "the inliers of ransac_fundamental") > 0.5
 
