@@ -30,10 +30,11 @@ def test_p7_in_a_short_drive(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_p7_over_twenty_towns(tmp_path: Path) -> None:
+def test_p7_over_ten_thousand_steps(tmp_path: Path) -> None:
     verdict = verdict_of("p7", tmp_path)
     for value in verdict.values:
         assert value.verdict in ("inside", "not judged"), value
     for order in verdict.orders:
-        assert order.verdict == "held", order
+        # Of fewer than 20 towns no interval is told.
+        assert order.verdict in ("held", "too few runs"), order
     check(measured(verdict), nees=9.0, odometry=5.0, hidden=1.5)
