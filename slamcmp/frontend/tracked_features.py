@@ -71,21 +71,22 @@ def tracked_features(
     Raises:
         UsageError: the log has no images, or its sensor is not a camera.
     """
-    from slamcmp.frontend.vision.measuring import Noise
     from slamcmp.frontend.vision.tracker import TrackingSettings
 
     settings = TrackingSettings(
-        features,
-        followed,
-        ratio,
-        threshold_px,
-        gate_probability,
-        Noise(sigma_px, disparity_sigma_px, depth_sigma_per_m2),
-        min_sightings,
-        memory,
-        parallax_min_deg,
-        depth_min_m,
-        wrong_match_share,
+        features=features,
+        followed=followed,
+        ratio=ratio,
+        threshold_px=threshold_px,
+        gate_probability=gate_probability,
+        sigma_px=sigma_px,
+        disparity_sigma_px=disparity_sigma_px,
+        depth_sigma_per_m2=depth_sigma_per_m2,
+        min_sightings=min_sightings,
+        memory=memory,
+        parallax_min_deg=parallax_min_deg,
+        depth_min_m=depth_min_m,
+        wrong_match_share=wrong_match_share,
     )
     return follow(log, seed, settings)[0]
 

@@ -59,7 +59,9 @@ class TrackingSettings:
     ratio: float
     threshold_px: float
     gate_probability: float
-    noise: Noise
+    sigma_px: float
+    disparity_sigma_px: float
+    depth_sigma_per_m2: float
     min_sightings: int
     memory: int
     parallax_min_deg: float
@@ -105,8 +107,9 @@ class FeatureTracker:
         self._generator = generator
         self._needs_right = isinstance(camera, StereoCamera)
         self._needs_depth = isinstance(camera, RgbdCamera)
+        noise = Noise(settings.sigma_px, settings.disparity_sigma_px, settings.depth_sigma_per_m2)
         self.sensor, self._measure = measuring(
-            camera, settings.noise, features=settings.features, depth_min_m=settings.depth_min_m
+            camera, noise, features=settings.features, depth_min_m=settings.depth_min_m
         )
         self._image_camera = MonoCamera(
             fx_px=camera.fx_px,
@@ -238,7 +241,7 @@ class FeatureTracker:
             self._image_camera,
             self._history,
             self._size,
-            sigma_px=self._settings.noise.sigma_px,
+            sigma_px=self._settings.sigma_px,
             depth_min_m=self._settings.depth_min_m,
             widest_px=_WIDEST_PX,
         )
@@ -267,7 +270,7 @@ class FeatureTracker:
             rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]]
         )
         agrees[whole] = squared <= self._gate
-        R = np.tile(self._settings.noise.sigma_px**2 * np.eye(2), (pixel_only.size, 1, 1))
+        R = np.tile(self._settings.sigma_px**2 * np.eye(2), (pixel_only.size, 1, 1))
         squared = self._tracks.distances(rows[pixel_only], self._image_camera, now[pixel_only], R)
         agrees[pixel_only] = squared <= self._pixel_gate
         return agrees
@@ -293,7 +296,7 @@ class FeatureTracker:
         placed, valid = tracks.placed[rows], measured.valid[chosen]
         whole, pixel_only = placed & valid, placed & ~valid
         tracks.correct(rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]])
-        R = np.tile(settings.noise.sigma_px**2 * np.eye(2), (int(pixel_only.sum()), 1, 1))
+        R = np.tile(settings.sigma_px**2 * np.eye(2), (int(pixel_only.sum()), 1, 1))
         tracks.correct(rows[pixel_only], self._image_camera, features.xy[chosen[pixel_only]], R)
         tracks.see(rows, features.descriptors[chosen], features.xy[chosen])
         fate = np.full(len(rows), NO_PARALLAX)
@@ -304,7 +307,7 @@ class FeatureTracker:
             rows[~placed],
             self._image_camera,
             self._history,
-            sigma_px=settings.noise.sigma_px,
+            sigma_px=settings.sigma_px,
             parallax_min_deg=settings.parallax_min_deg,
             depth_min_m=settings.depth_min_m,
             gate_probability=settings.gate_probability,
