@@ -202,9 +202,9 @@ def paired_table(results: Results) -> pd.DataFrame:
 
 
 def _gates(rows: pd.DataFrame, label: str, other: str) -> str:
-    """``0.999 against none``."""
-    texts = [gate_text(rows[rows["label"] == each]) for each in (label, other)]
-    return " against ".join(texts)
+    """``both 0.999``, or ``0.999 against none``."""
+    own, others = (gate_text(rows[rows["label"] == each]) for each in (label, other))
+    return f"both {own}" if own == others else f"{own} against {others}"
 
 
 def _errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:

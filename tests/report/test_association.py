@@ -63,6 +63,8 @@ def test_tables_and_comparisons_say_who_chose_observations(gated: Any, one_trial
     paired = paired_table(gated)
     online = paired[paired["trajectory"] == "online"].set_index("back end")
     assert online["own gates"].to_dict() == {"isam2": "0.99 against 0.999", "batch": "none against 0.999"}
+    same = gated.trials.assign(own_gate=0.9)
+    assert set(paired_table(dataclasses.replace(gated, trials=same))["own gates"]) == {"both 0.9"}
     assert "own gate" not in summary_table(one_trial)
     assert "own gates" not in paired_table(one_trial)
 
