@@ -25,6 +25,7 @@ IMAGES = {
     "filter_vs_smoother.png": ("filter_vs_smoother", "sweep"),
     "observability.png": ("observability", "observability"),
     "kl_from_batch.png": ("observability", "kl_from_batch"),
+    "association.png": ("association", "association"),
     "victoria_park_map.png": ("victoria_park", "map"),
 }
 """File in docs/images: shipped experiment, figure."""

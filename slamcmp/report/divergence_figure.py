@@ -38,16 +38,21 @@ SMALLEST_NAT = 0.01
 def plot_kl_from_batch(results: Results) -> Figure:
     """Divergence over time, and each run's median."""
     frames, where = ok_frames(results)
+    study = results.manifest.get("config", {}).get("study") or {}
+    batch = study.get("divergence_from")
     if not has_values(frames, [KL]):
-        raise NotDrawable("no run was compared: give the experiment study: {divergence_from: LABEL}")
+        raise NotDrawable(
+            f"no run was compared: {batch!r} kept no posterior, see its status"
+            if batch
+            else "no run was compared: give the experiment study: {divergence_from: LABEL}"
+        )
     told = frames[frames[KL].notna()]
     medians = told.groupby(["label", "trial"])[KL].median()
     by_label = medians.groupby("label").median()
     compared = [label for label in labels(results) if by_label.get(label, 0.0) > ZERO_NAT]
     if not compared:
         raise NotDrawable("every back end that was compared has the batch solution's belief")
-    study = results.manifest.get("config", {}).get("study") or {}
-    title = f"How far from the belief of {study.get('divergence_from', 'batch')} at the same frame?"
+    title = f"How far from the belief of {batch or 'batch'} at the same frame?"
     figure = style.new_figure(11.0, 4.9, title + (f"  {where}" if where else ""))
     left, right = figure.subplots(1, 2, width_ratios=[1.5, 1.0])
     for label in compared:

@@ -118,3 +118,9 @@ def test_experiments_without_a_study_say_what_is_missing(one_trial: Results) -> 
         plot_observability(one_trial)
     with pytest.raises(NotDrawable, match=r"study: \{divergence_from: LABEL\}"):
         plot_kl_from_batch(one_trial)
+
+
+def test_a_batch_solution_that_failed_is_named(one_trial: Results) -> None:
+    one_trial.manifest["config"]["study"] = {"divergence_from": "batch"}
+    with pytest.raises(NotDrawable, match="'batch' kept no posterior, see its status"):
+        plot_kl_from_batch(one_trial)
