@@ -16,7 +16,7 @@ from slamcmp.experiment.store import Results
 from slamcmp.report.selection import labels
 
 # Okabe and Ito 2008, "Color Universal Design"; black and grey are kept for the truth and for bands. Their
-# yellow is too pale for a thin line on white; Tol's olive (2021, "Colour schemes", muted) stands in its place.
+# yellow is too pale for thin lines on white; Tol's olive (2021, "Colour schemes", muted) stands in its place.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999933")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 TRUTH = "#000000"
