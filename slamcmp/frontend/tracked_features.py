@@ -93,6 +93,7 @@ def tracked_features(
 
 def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[MeasurementStream, list[MatchRecord]]:
     """The stream, and the matches of every image for setting them against the truth."""
+    from slamcmp.frontend.vision.one_thread import one_thread
     from slamcmp.frontend.vision.tracker import STAGES, FeatureTracker
 
     if log.images is None:
@@ -104,18 +105,21 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
     frames, counts, kept, records = [], [], [], []
     events: Counter[str] = Counter()
     times: dict[str, list[float]] = {}
-    for k, t in enumerate(log.t.tolist()):
-        sighting = tracker.step(log.images[k], log.T_prev_body[k], log.Q[k])
-        seen = sighting.detections
-        frames.append(Frame(k, t, log.T_prev_body[k], log.Q[k], seen.ids, seen.z, seen.R, sighting.entries))
-        counts.append(sighting.counts)
-        kept.append(sighting.kept)
-        if sighting.event:
-            events[sighting.event] += 1
-        if sighting.matches is not None:
-            records.append(sighting.matches)
-        for name, value in sighting.times_ms.items():
-            times.setdefault(name, []).append(value)
+    with one_thread():
+        for k, t in enumerate(log.t.tolist()):
+            sighting = tracker.step(log.images[k], log.T_prev_body[k], log.Q[k])
+            seen = sighting.detections
+            frames.append(
+                Frame(k, t, log.T_prev_body[k], log.Q[k], seen.ids, seen.z, seen.R, sighting.entries)
+            )
+            counts.append(sighting.counts)
+            kept.append(sighting.kept)
+            if sighting.event:
+                events[sighting.event] += 1
+            if sighting.matches is not None:
+                records.append(sighting.matches)
+            for name, value in sighting.times_ms.items():
+                times.setdefault(name, []).append(value)
     report = FrontEndReport(
         STAGES,
         np.array(counts, dtype=np.int64),
