@@ -6,10 +6,10 @@ import contextlib
 import sys
 import time
 import traceback
-from collections.abc import Mapping, MutableSequence
+from collections.abc import Mapping, MutableSequence, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from slamcmp.backends.own_gate import OwnGate
 from slamcmp.errors import SlamcmpError, UsageError
@@ -23,7 +23,7 @@ from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import score_run
 from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends, front_ends, sources
-from slamcmp.types import GroundTruth, Log, MeasurementStream, Problem, Run, Status
+from slamcmp.types import CameraFrame, GroundTruth, Log, MeasurementStream, Problem, Run, Status
 
 
 @dataclass(frozen=True)
@@ -92,26 +92,52 @@ def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
         cv2.setNumThreads(1)
     if task.kind == "stream":
         heartbeat[0] = time.monotonic()
-        _make_stream(task)
+        _make_stream(task, heartbeat)
     else:
         _run(task, heartbeat)
 
 
 def make_stream(
-    source: tuple[str, Mapping[str, Any]], front_end: tuple[str, Mapping[str, Any]], seed: int | None
+    source: tuple[str, Mapping[str, Any]],
+    front_end: tuple[str, Mapping[str, Any]],
+    seed: int | None,
+    heartbeat: MutableSequence[float] | None = None,
 ) -> tuple[MeasurementStream, Log]:
-    """The stream that a source and a front end, each (name, parameters), make from a seed; and its log."""
+    """The stream that a source and a front end, each (name, parameters), make from a seed; and its log.
+
+    ``heartbeat[1]`` is set to the images taken so far.
+    """
     seed = 0 if seed is None else seed
     plugin = sources.get(source[0])
     log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
+    if log.images is not None and heartbeat is not None:
+        log = replace(log, images=_Counted(log.images, heartbeat))
     plugin = front_ends.get(front_end[0])
     stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
     return stream, log
 
 
-def _make_stream(task: Task) -> None:
+class _Counted(Sequence[CameraFrame]):
+    """Images that tell how many of them were asked for: making a stream of images takes a while."""
+
+    def __init__(self, images: Sequence[CameraFrame], heartbeat: MutableSequence[float]) -> None:
+        self._images, self._heartbeat = images, heartbeat
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    @overload
+    def __getitem__(self, k: int) -> CameraFrame: ...
+    @overload
+    def __getitem__(self, k: slice) -> Sequence[CameraFrame]: ...
+    def __getitem__(self, k: int | slice) -> CameraFrame | Sequence[CameraFrame]:
+        self._heartbeat[1] += 1
+        return self._images[k]
+
+
+def _make_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
     try:
-        stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed)
+        stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed, heartbeat)
     except Exception as error:
         text = str(error) if isinstance(error, SlamcmpError) else describe(error)
         save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)

@@ -11,6 +11,7 @@ import pytest
 
 from slamcmp.backends.gtsam_batch import Batch
 from slamcmp.errors import UsageError
+from slamcmp.experiment.worker import make_stream
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.frontend.tracked_features import follow, tracked_features
 from slamcmp.frontend.vision.tracker import STAGES, TrackingSettings
@@ -189,6 +190,13 @@ def test_the_same_seed_gives_the_same_stream_and_it_can_be_stored(tmp_path: Path
     assert stored.digest == first.digest
     assert stored.report.events == first.report.events
     assert set(first.report.times_ms) >= {"features", "matching", "verification"}
+
+
+def test_making_a_stream_tells_how_many_images_are_done() -> None:
+    beat = [0.0, 0.0, 0.0]
+    source = ("rendered", {"camera": "mono", "steps": 3, **SMALL})
+    stream, _ = make_stream(source, ("tracked_features", {"features": 50}), 0, beat)
+    assert beat[1] == len(stream.frames) == 3
 
 
 def test_a_log_without_camera_or_images_is_refused() -> None:
