@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import sys
 import traceback
@@ -9,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slamcmp.errors import MissingDataError
+from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.conformance import Finding
 
 PUBLIC = "public_tests.py"
@@ -22,6 +23,7 @@ def run_public_tests(entry: Path) -> list[Finding]:
 
     Raises:
         MissingDataError: one of the two files is missing.
+        UsageError: the tests are of a file with another name.
     """
     tests = entry.resolve().parent / PUBLIC
     if not entry.is_file():
@@ -31,12 +33,18 @@ def run_public_tests(entry: Path) -> list[Finding]:
             f"{entry}: there is no {PUBLIC} beside it; copy the assignment's there, or name the class of a "
             f"back end, {entry}:NAME"
         )
+    source = tests.read_text(encoding="utf-8")
+    wanted = _imported(source) - {"numpy", "slamcmp"}
+    if entry.stem not in wanted:
+        # They would test that file, and this one would get the praise.
+        what = " or ".join(f"{name}.py" for name in sorted(wanted))
+        raise UsageError(f"{entry}: the tests beside it are of {what}; give your file this name")
     with _import_path(tests.parent, entry.stem):
         names: dict[str, object] = {"__name__": "public_tests"}
         title = f"{entry.name} is imported, with all that is asked for"
         try:
             importlib.import_module(entry.stem)
-            exec(compile(tests.read_text(encoding="utf-8"), str(tests), "exec"), names)
+            exec(compile(source, str(tests), "exec"), names)
         except Exception as error:
             return [Finding(title, False, _describe(error, tests))]
         findings = [Finding(title, True, str(entry))]
@@ -44,6 +52,14 @@ def run_public_tests(entry: Path) -> list[Finding]:
             if name.startswith("test_") and callable(test):
                 findings.append(_run(name.removeprefix("test_"), test, tests))
     return findings
+
+
+def _imported(source: str) -> set[str]:
+    """Modules that a source imports from, without the packages' parts."""
+    nodes = list(ast.walk(ast.parse(source)))
+    names = [node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
+    names += [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    return {name.partition(".")[0] for name in names}
 
 
 def _run(title: str, test: Callable[[], object], tests: Path) -> Finding:

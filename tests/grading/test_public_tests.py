@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.errors import MissingDataError
+from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.grading.assignment import SHIPPED, find_assignment, load_assignment
 from slamcmp.grading.public_tests import run_public_tests
 
@@ -59,6 +59,10 @@ def test_what_cannot_be_run_says_why(tmp_path: Path) -> None:
     entry.write_text("def predict(): pass\n")
     (finding,) = run_public_tests(entry)
     assert "cannot import name 'correct'" in finding.message
+    other = entry.rename(tmp_path / "my_filter.py")
+    with pytest.raises(UsageError, match=r"the tests beside it are of kalman_filter\.py"):
+        run_public_tests(other)
+    other.rename(entry)
     (tmp_path / "public_tests.py").unlink()
     with pytest.raises(MissingDataError, match=r"no public_tests\.py beside it"):
         run_public_tests(entry)
