@@ -98,6 +98,20 @@ def test_divergence_vanishes_for_the_same_posterior_only(results: Results) -> No
     assert kl["window 10"] < kl["EKF"]
 
 
+def test_divergence_falls_with_the_square_of_the_noise(tmp_path: Path) -> None:
+    """Noise and prior scaled together: linearisation is all that tells a filter from the batch solution."""
+    shipped = load_experiment(SHIPPED)
+    names = ("EKF", "FEJ EKF", "right-invariant EKF", "robocentric EKF", "batch")
+    chosen = tuple(each for each in shipped.back_ends if each.label in names)
+    scales = (0.03, 0.1)
+    experiment = replace(short(shipped, back_ends=chosen), sweep={"source.noise_scale": scales})
+    found = run_experiment(experiment, folder=tmp_path / "r", executor="serial").trials
+    kl = found.pivot(index="label", columns="source.noise_scale", values="kl_from_batch").drop("batch")
+    # (0.1 / 0.03)² = 11.1; the next order leaves its trace.
+    ratios = kl[0.1] / kl[0.03]
+    assert ratios.between(8.0, 16.0).all(), ratios
+
+
 def test_a_run_that_records_tells_no_times(results: Results) -> None:
     for name in ("update_s", "estimate_s", "final_solution_s", "peak_memory_mb", "update_median_ms"):
         assert results.trials[name].isna().all()
