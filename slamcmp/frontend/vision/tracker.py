@@ -44,7 +44,8 @@ _SEARCH_FACTOR = 2.0
 _REJECTIONS_MAX = 3
 _HISTORY = 120
 """Images that a ray may wait for its parallax."""
-_SPACING_PX = 12.0
+_SPACING_PX = 12
+"""Between a new track and all others, along either axis."""
 _WIDEST_PX = 25.0
 _MATCHES_MIN = 12
 """Fewer do not hold a pose well: the common motion is not asked, and new points count without waiting."""
@@ -332,8 +333,7 @@ class FeatureTracker:
         """
         free = measured.valid.copy()
         free[taken] = False
-        apart = np.abs(features.xy[:, None] - features.xy[taken]).max(axis=2)
-        candidates = np.flatnonzero(free & (apart > _SPACING_PX).all(axis=1))
+        candidates = np.flatnonzero(free & ~self._crowded(features.xy, taken))
         if wanted <= 0 or not candidates.size:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         spread = suppress_cells(features.xy[candidates], features.response[candidates], wanted)
@@ -343,6 +343,18 @@ class FeatureTracker:
             return new[:0], rows[:0]
         self._tracks.place(rows, self.sensor, measured.z[new], measured.R[new])
         return new, rows
+
+    def _crowded(self, xy: FloatArray, taken: IntArray) -> BoolArray:
+        """Which pixels (m, 2) lie within the spacing of those taken, a mask over them, (m,)."""
+        assert self._size is not None
+        width, height = self._size
+        occupied = np.zeros((height, width), dtype=bool)
+        columns, rows = np.rint(xy).astype(np.int64).T
+        for column, row in zip(columns[taken].tolist(), rows[taken].tolist(), strict=True):
+            left, top = max(column - _SPACING_PX, 0), max(row - _SPACING_PX, 0)
+            occupied[top : row + _SPACING_PX + 1, left : column + _SPACING_PX + 1] = True
+        crowded: BoolArray = occupied[rows, columns]
+        return crowded
 
     def _forget(self) -> None:
         """Landmarks are remembered for a while; what is none yet must be seen in every image."""

@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_STEPS = 6
+_STEPS = 4
 _RIDGE = 1e-12
 """Keeps a point without any parallax solvable; its covariance then says that it is not placed."""
 
