@@ -83,6 +83,8 @@ class OwnGate:
         if not self._kept.all():
             frame = replace(frame, ids=frame.ids[self._kept], z=frame.z[self._kept], R=frame.R[self._kept])
         self._seen.update(frame.ids.tolist())
+        if frame.entries is not None:
+            self._seen.update(frame.entries.ids.tolist())
         self._back_end.update(frame)
 
     def estimate(self) -> Estimate:

@@ -18,6 +18,7 @@ from slamcmp.models.sensors import make_sensor
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.registry import back_ends
 from slamcmp.types import Frame, MeasurementStream, Problem
+from tests.camera_stream import Kind, camera_stream
 from tests.toy_stream import toy_stream
 
 NAMES: list[tuple[str, dict[str, Any]]] = [
@@ -193,6 +194,23 @@ def test_an_observation_twenty_sigma_off_is_dropped_as_if_it_had_never_been(
         assert np.flatnonzero(~kept).tolist() == ([2] if bad.ids.size > good.ids.size else [])
         assert gated.diagnostics()["gate_rejected"] == bad.ids.size - good.ids.size
         assert np.array_equal(gated.estimate().T_world_body, plain.estimate().T_world_body)
+
+
+@pytest.mark.parametrize("kind", ["mono", "stereo"])
+@pytest.mark.parametrize("name", ["ekf_slam", "isam2"])
+def test_cameras_in_space(name: str, kind: Kind) -> None:
+    """A pixel fifty off is dropped and nothing else; entries pass with their frame."""
+    stream, _ = camera_stream(kind, frames=12)
+    gate = OwnGate(make(name, stream.problem), stream.problem, 1 - 1e-9)
+    for frame in stream.frames:
+        (known,) = np.nonzero(np.isin(frame.ids, [] if frame.k == 0 else gate.landmarks().ids))
+        spoilt = known[:1] if frame.k % 3 == 2 else known[:0]
+        z = frame.z.copy()
+        z[spoilt, 0] += 50.0
+        gate.update(replace(frame, z=z))
+        assert np.flatnonzero(~gate.kept_observations()).tolist() == spoilt.tolist()
+        assert gate.diagnostics()["gate_tested"] == known.size
+        assert frame.entries is None or np.isin(frame.entries.ids, gate.landmarks().ids).all()
 
 
 def test_new_landmarks_pass_untested() -> None:
