@@ -23,7 +23,7 @@ y, S      innovations (m, d) and their covariances (m, d, d), R included
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -32,11 +32,15 @@ from scipy.special import chdtri
 
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.geometry import adjoint_of_inverse
-from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, LocalEstimator, Smoother
-from slamcmp.types import TANGENT_DIM, BoolArray, Estimate, Frame, Landmarks, Problem, Trajectory
+from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, LocalEstimator
+from slamcmp.types import TANGENT_DIM, BoolArray, Estimate, Frame, Landmarks, Problem
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+PASSED_ON = ("trajectory", "record_linearisation", "linearisation")
+"""What the gated back end offers if the one behind the gate does."""
 
 
 class OwnGate:
@@ -51,9 +55,6 @@ class OwnGate:
         UsageError: the back end cannot tell its joint covariance, or the probability is not in (0, 1).
         DivergedError: an innovation covariance is singular.
     """
-
-    trajectory: Callable[[], Trajectory]
-    """Every pose with hindsight; exists only where the back end has it."""
 
     def __init__(self, back_end: BackEnd, problem: Problem, probability: float) -> None:
         if not isinstance(back_end, JointEstimator):
@@ -71,8 +72,10 @@ class OwnGate:
         self._seen: set[int] = set()
         self._kept: BoolArray = np.empty(0, dtype=bool)
         self._tested = 0
-        if isinstance(back_end, Smoother):
-            self.trajectory = back_end.trajectory
+        # As attributes of its own: a protocol's isinstance looks for no others.
+        for name in PASSED_ON:
+            if hasattr(back_end, name):
+                setattr(self, name, getattr(back_end, name))
 
     def update(self, frame: Frame) -> None:
         """Test the frame's observations of known landmarks and hand on those that pass."""

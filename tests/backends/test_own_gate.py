@@ -14,6 +14,7 @@ from slamcmp import geometry
 from slamcmp.backends.own_gate import OwnGate, innovation_covariances, predicted_blocks
 from slamcmp.errors import UsageError
 from slamcmp.experiment.conformance import check_back_end
+from slamcmp.experiment.watch import SelfLinearising
 from slamcmp.models.sensors import make_sensor
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.registry import back_ends
@@ -229,10 +230,11 @@ def test_new_landmarks_pass_untested() -> None:
 
 def test_it_is_a_smoother_only_where_its_back_end_is_one() -> None:
     stream, _, _ = toy_stream(frames=3)
-    for name, smoother in (("ekf_slam", False), ("isam2", True)):
+    for name, smoother in (("ekf_slam", False), ("ekf_right_invariant", False), ("isam2", True)):
         gate = OwnGate(make(name, stream.problem), stream.problem, 0.99)
         assert isinstance(gate, Smoother) is smoother
         assert all(isinstance(gate, kind) for kind in (Mapper, JointEstimator, Diagnosed))
+        assert isinstance(gate, SelfLinearising) is isinstance(make(name, stream.problem), SelfLinearising)
 
 
 def test_a_back_end_without_a_joint_covariance_or_a_wrong_probability_is_refused() -> None:
