@@ -30,7 +30,7 @@ _SLOPE_SIGMA = 0.15
 """Expected slope of the disparity over the patch: a floor seen from half a metre has 0.2."""
 _SIGMA_GREY = 8.0
 """Weight of the grey values against that expectation."""
-_UNLIKE = 0.6
+_ALIKE = 0.6
 """Smallest correlation of two patches of one point."""
 
 
@@ -100,57 +100,53 @@ def _align(
     patch: NDArray[np.float32], strip: NDArray[np.float32], offset: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Offsets d (m,) with strip(x - d - a x - b y) = patch(x, y) up to brightness, and which came to rest."""
+    count = len(patch)
     axis = np.arange(-_HALF_PX, _HALF_PX + 1, dtype=np.float32)
-    x, y = np.broadcast_arrays(axis[None, :], axis[:, None])
-    basis = np.stack([np.ones_like(x), x, y], axis=-1).reshape(-1, 3)
-    flat = (len(patch), -1)
-    wanted = patch.reshape(flat)
+    x, y = (each.reshape(-1) for each in np.broadcast_arrays(axis[None, :], axis[:, None]))
+    basis = np.stack([np.ones_like(x), x, y], axis=-1)
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(-1, 9)
+    wanted = patch.reshape(count, -1)
     wanted = wanted - wanted.mean(axis=1, keepdims=True)
-    parameters = np.zeros((len(patch), 3), dtype=np.float32)
+    parameters = np.zeros((count, 3))
     parameters[:, 0] = offset
-    stiffness = (_SIGMA_GREY / np.array([1e6, _SLOPE_SIGMA, _SLOPE_SIGMA])) ** 2
+    stiffness = np.array([1e-3, *[(_SIGMA_GREY / _SLOPE_SIGMA) ** 2] * 2])
     step = np.zeros_like(parameters)
     for _ in range(_STEPS):
-        seen, slope = _sampled(strip, parameters @ basis.T, x)
-        seen -= seen.mean(axis=1, keepdims=True)
-        slope_mean = slope.mean(axis=1, keepdims=True)
-        J = (slope - slope_mean)[:, :, None] * basis
-        A = np.swapaxes(J, 1, 2) @ J + np.diag(stiffness).astype(np.float32)
-        b = (np.swapaxes(J, 1, 2) @ (seen - wanted)[:, :, None])[:, :, 0] - parameters * stiffness
-        A[:, 0, 0] += np.float32(1e-3)
-        step = np.linalg.solve(A.astype(np.float64), b[:, :, None].astype(np.float64))[:, :, 0]
-        parameters += np.clip(step, -1.0, 1.0).astype(np.float32)
-    seen, _ = _sampled(strip, parameters @ basis.T, x)
-    seen -= seen.mean(axis=1, keepdims=True)
+        seen, slope = _sampled(strip, parameters.astype(np.float32) @ basis.T, x)
+        # Differences of brightness are taken out of the derivative as out of the values.
+        mean = (slope @ basis).astype(np.float64) / x.size
+        A = ((slope * slope) @ products).astype(np.float64).reshape(count, 3, 3)
+        A += np.diag(stiffness) - x.size * mean[:, :, None] * mean[:, None, :]
+        b = ((slope * (seen - wanted)) @ basis).astype(np.float64) - [0.0, *stiffness[1:]] * parameters
+        step = np.linalg.solve(A, b[:, :, None])[:, :, 0]
+        parameters += np.clip(step, -1.0, 1.0)
+    seen, _ = _sampled(strip, parameters.astype(np.float32) @ basis.T, x)
     norms = np.linalg.norm(seen, axis=1) * np.linalg.norm(wanted, axis=1)
-    alike = (seen * wanted).sum(axis=1) > _UNLIKE * norms
+    alike = (seen * wanted).sum(axis=1) > _ALIKE * norms
     moved = np.abs(parameters[:, 0] - offset)
-    settled = alike & (np.abs(step[:, 0]) < 0.05) & (moved < _SLACK_PX - 0.5)
-    return parameters[:, 0].astype(np.float64), settled
+    return parameters[:, 0], alike & (np.abs(step[:, 0]) < 0.05) & (moved < _SLACK_PX - 0.5)
 
 
 def _sampled(
     strip: NDArray[np.float32], shift: NDArray[np.float32], x: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Grey values and their slope along the row at columns x - shift, by linear interpolation."""
+    """Grey values less their mean, and their slope along the row, at columns x - shift, by interpolation."""
     count, rows, columns = strip.shape
-    side = 2 * _HALF_PX + 1
-    place = columns // 2 + np.broadcast_to(x, (side, side)).reshape(1, -1) - shift
-    place = np.clip(place, 0.0, columns - 1.001)
+    place = np.clip(columns // 2 + x - shift, 0.0, columns - 1.001)
     left = place.astype(np.int32)
-    share = place - left
-    top = (rows - side) // 2
-    line = (np.repeat(np.arange(side), side) + top) * columns
-    index = left + line + (np.arange(count) * rows * columns)[:, None]
+    line = np.repeat(np.arange(rows, dtype=np.int32), x.size // rows) * columns
+    index = left + (line + np.arange(count, dtype=np.int32)[:, None] * (rows * columns))
     values = strip.reshape(-1)
-    low, high = values[index], values[index + 1]
-    slope = high - low
-    return low + share * slope, slope
+    low = values[index]
+    slope = values[index + 1] - low
+    seen = low + (place - left) * slope
+    seen -= seen.mean(axis=1, keepdims=True)
+    return seen, slope
 
 
 def _patches(
     image: GrayImage, row: NDArray[np.int64], column: NDArray[np.int64], half: int
 ) -> NDArray[np.float32]:
-    """Patches (m, 2 half_rows + 1, 2 half + 1) about whole pixels; always the patch's own rows."""
+    """Parts of an image about whole pixels: the patch's rows, and 2 half + 1 columns."""
     windows = np.lib.stride_tricks.sliding_window_view(image, (2 * _HALF_PX + 1, 2 * half + 1))
     return windows[row - _HALF_PX, column - half].astype(np.float32)
