@@ -193,6 +193,7 @@ class Batch:
     def _solve(self) -> _Solution:
         initial = self._chain if self._incremental is None else self._incremental.values()
         k = len(self._t) - 1
+        self._builder.bring_back(initial, poses_in(initial, k + 1, self._builder.space_dim))
         try:
             optimizer = self._make_optimizer(initial)
             values = optimizer.optimize()

@@ -35,6 +35,9 @@ _LANDMARK_KEYS = gtsam.symbol("l", 0)
 _LARGEST_ID = 1 << 50
 _CACHED_NOISE_MODELS = 4096
 
+PIN_SIGMA_M = 1e5
+"""Of the prior that keeps a landmark determined which has come behind its cameras."""
+
 
 def pose_key(k: int) -> int:
     """GTSAM's key X(k)."""
@@ -87,8 +90,8 @@ class ObservationFactors(Protocol):
     def position_of(self, values: Any, key: int) -> FloatArray:
         """A landmark's position in GTSAM values."""
 
-    def pin(self, key: int) -> Any | None:
-        """A factor that a new landmark variable needs to be determined, or None."""
+    def pin(self, key: int, position: FloatArray) -> Any | None:
+        """A factor that a landmark variable that starts at ``position`` needs to be determined, or None."""
 
     def factors(self, key: int, sights: Sights) -> Iterator[Any]:
         """One factor for each observation from the pose ``key``."""
@@ -120,7 +123,7 @@ class _PointLandmarks:
         point: FloatArray = values.atPoint2(key) if self._space_dim == 2 else values.atPoint3(key)
         return point
 
-    def pin(self, key: int) -> Any | None:  # noqa: ARG002
+    def pin(self, key: int, position: FloatArray) -> Any | None:  # noqa: ARG002
         return None
 
 
@@ -177,7 +180,7 @@ class _RelativePositionFactors:
         position: FloatArray = pose.translation()
         return position
 
-    def pin(self, key: int) -> Any | None:
+    def pin(self, key: int, position: FloatArray) -> Any | None:  # noqa: ARG002
         return self._prior(key, self.value(np.zeros(self._n)), self._pin_noise)
 
     def factors(self, key: int, sights: Sights) -> Iterator[Any]:
@@ -193,12 +196,21 @@ class _RelativePositionFactors:
 
 
 class _CameraFactors(_PointLandmarks):
-    """GTSAM's own; a landmark behind the camera gets an error of 2 fx and no Jacobian, not an exception."""
+    """GTSAM's own; a landmark behind the camera gets an error of 2 fx and no Jacobian, not an exception.
+
+    A step may send a landmark of small disparity behind all cameras that saw it, where without a derivative
+    the system would be singular. A prior of 100 km, too wide to be told from none, keeps it determined and
+    brings it back to where it started.
+    """
 
     def __init__(self, sensor: Camera, wrap: Callable[[Any], Any]) -> None:
         super().__init__(3)
         self._mounting = gtsam.Pose3(sensor.T_body_camera)
+        self._pin_noise = noiseModel.Isotropic.Sigma(3, PIN_SIGMA_M)
         self._noise = NoiseCache(lambda R: wrap(noiseModel.Gaussian.Covariance(R)))
+
+    def pin(self, key: int, position: FloatArray) -> Any:
+        return gtsam.PriorFactorPoint3(key, position, self._pin_noise)
 
 
 class _PixelFactors(_CameraFactors):

@@ -61,7 +61,9 @@ class GraphBuilder:
         self.dropped = 0
         """Measurements of the last frame that had no use: their landmarks are unknown and cannot enter."""
         self._sensor, self._entry_sensor = problem.sensor, entry_sensor(problem.sensor)
+        # Of cameras only: who was seen in each frame, and by which measurement each landmark entered.
         self._sights: list[IntArray] = []
+        self._entered: dict[int, tuple[int, FloatArray]] = {}
         self._prior = _to_gtsam(problem.T_world_body)
         self._prior_P = problem.P
         self._prior_factor = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
@@ -147,21 +149,36 @@ class GraphBuilder:
         Raises:
             DivergedError: more than ``MOST_WITHOUT_IMAGE`` of them.
         """
-        if not isinstance(self._sensor, Camera):
-            return 0
-        ids = np.array(self.landmark_ids(), dtype=np.int64)
-        positions = self.positions(values, ids.tolist())
-        behind, total = 0, 0
-        for T, seen in zip(poses, self._sights[-len(poses) :], strict=True):
-            rows = np.searchsorted(ids, seen[np.isin(seen, ids)])
-            behind += int((self._sensor.camera_point(T, positions[rows])[:, 2] <= 0).sum())
-            total += rows.size
+        hidden, total = self._hidden(values, poses)
+        behind = hidden.size
         if behind > MOST_WITHOUT_IMAGE * total:
             raise DivergedError(
                 f"{back_end}: {behind} of {total} observations are of landmarks behind the camera, for which "
                 "GTSAM has a constant error and no derivative: the solution is lost"
             )
         return behind
+
+    def bring_back(self, values: Any, poses: FloatArray) -> None:
+        """Put landmarks that are behind a camera that saw them where they entered, seen from ``poses``.
+
+        There they have no derivative by which a solver could bring them back (K, n+1, n+1: all poses so far).
+        """
+        for landmark_id in np.unique(self._hidden(values, poses)[0]).tolist():
+            k, z = self._entered[landmark_id]
+            values.update(landmark_key(landmark_id), self._entry_sensor.invert(poses[k], z))
+
+    def _hidden(self, values: Any, poses: FloatArray) -> tuple[IntArray, int]:
+        """Landmark of each observation from the last poses that has no image, and how many there are."""
+        if not isinstance(self._sensor, Camera):
+            return np.empty(0, dtype=np.int64), 0
+        ids = np.array(self.landmark_ids(), dtype=np.int64)
+        positions = self.positions(values, ids.tolist())
+        hidden, total = [ids[:0]], 0
+        for T, seen in zip(poses, self._sights[-len(poses) :], strict=True):
+            rows = np.searchsorted(ids, seen[np.isin(seen, ids)])
+            hidden.append(ids[rows][self._sensor.camera_point(T, positions[rows])[:, 2] <= 0])
+            total += rows.size
+        return np.concatenate(hidden), total
 
     def _odometry_model(self, Q: FloatArray) -> Any:
         require_definite(Q, f"the odometry covariance Q of frame {self.next_frame}")
@@ -180,6 +197,10 @@ class GraphBuilder:
                 self._rows += entries.z.size
                 if entries.dropped:
                     sights = replace(frame, ids=frame.ids[~unknown], z=frame.z[~unknown], R=frame.R[~unknown])
+            if isinstance(self._sensor, Camera):
+                self._entered.update(
+                    (i, (frame.k, z)) for i, z in zip(entries.ids.tolist(), entries.z, strict=True)
+                )
             self.dropped = entries.dropped
         else:
             self.dropped = 0
@@ -197,7 +218,7 @@ class GraphBuilder:
         for landmark_id, position in zip(entries.ids.tolist(), positions, strict=True):
             key = landmark_key(landmark_id)
             values.insert(key, how.value(position))
-            pin = how.pin(key)
+            pin = how.pin(key, position)
             if pin is not None:
                 graph.add(pin)
             known.add(landmark_id)

@@ -170,3 +170,37 @@ def test_a_solution_behind_the_camera_is_no_result(make: Any) -> None:
         back_end.update(frame)
     with pytest.raises(DivergedError, match="behind the camera"):
         back_end.trajectory()
+
+
+@pytest.mark.parametrize("make", [Batch, Isam2])
+def test_a_far_landmark_that_a_step_sends_behind_the_camera_ends_no_run(make: Any) -> None:
+    """It enters with a disparity of 0.3 px and then shows 4: from 533 m one step goes to some -3000 m."""
+    stream, truth = camera_stream("stereo", frames=8, landmarks=1200, seen_at_once=120)
+    camera = CAMERAS["stereo"]
+    far = geometry.transform(camera.T_body_camera, np.array([0.5, -0.5, 40.0]))
+    frames = []
+    for frame in stream.frames:
+        z = camera.predict(truth.T_world_body[frame.k], far)
+        if frame.k == 0:
+            z = np.array([z[0], z[0] - 0.3, z[2]])
+        frames.append(
+            replace(
+                frame,
+                ids=np.append(frame.ids, 900),
+                z=np.vstack([frame.z, z]),
+                R=np.concatenate([frame.R, frame.R[:1]]),
+            )
+        )
+    settings = {"relinearize_threshold": 0.0, "relinearize_skip": 1} if make is Isam2 else {}
+    without, with_it = make(stream.problem, **settings), make(stream.problem, **settings)
+    for frame, more in zip(stream.frames, frames, strict=True):
+        without.update(frame)
+        with_it.update(more)
+    plain, other = without.trajectory(), with_it.trajectory()
+    sigma = np.sqrt(np.diag(plain.P[-1]))
+    difference = geometry.local(plain.T_world_body[-1], other.T_world_body[-1])
+    assert (np.abs(difference) < 0.5 * sigma).all()
+    if make is Batch:
+        assert with_it.diagnostics()["behind_camera"] == 0
+        # A landmark whose first sight was an outlier of 3.7 px on 0.7: it costs, but not 2 fx a component.
+        assert with_it.diagnostics()["chi2"] - without.diagnostics()["chi2"] < 2 * (3.7 / 0.7) ** 2
