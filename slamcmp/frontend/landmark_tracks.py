@@ -29,6 +29,10 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 
+ITERATIONS = 3
+"""Of Gauss-Newton a detection; the third moves a landmark by less than its noise."""
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Masks (m,) over the tested detections; one that is in neither passed."""
@@ -88,20 +92,10 @@ class LandmarkTracks:
 
     def _correct(self, rows: IntArray, z: FloatArray, R: FloatArray) -> BoolArray:
         q, C = self._q[rows], self._C[rows]
-        _, H = self._sensor.jacobians(self._origin, q)
-        H_t = np.swapaxes(H, -1, -2)
-        y = self._sensor.residual(z, self._sensor.predict(self._origin, q))
-        S = H @ C @ H_t + R
-        S_inv = np.linalg.inv(S)
-        distance = np.einsum("mi,mij,mj->m", y, S_inv, y)
+        q_new, C_new, distance = self._posterior(q, C, z, R)
         passed: BoolArray = distance <= self._threshold
-        K = C @ H_t @ S_inv
         good = rows[passed]
-        self._q[good] += np.einsum("mij,mj->mi", K[passed], y[passed])
-        # Joseph form keeps the small covariances symmetric and positive over thousands of sightings.
-        A = np.eye(q.shape[1]) - K[passed] @ H[passed]
-        K_t = np.swapaxes(K[passed], -1, -2)
-        self._C[good] = A @ C[passed] @ np.swapaxes(A, -1, -2) + K[passed] @ R[passed] @ K_t
+        self._q[good], self._C[good] = q_new[passed], C_new[passed]
         self._sightings[good] += 1
         self._rejections[good] = 0
         bad = rows[~passed]
@@ -111,6 +105,31 @@ class LandmarkTracks:
         self._start(bad[doubtful], z[~passed][doubtful], R[~passed][doubtful])
         rejected: BoolArray = ~passed
         return rejected
+
+    def _posterior(
+        self, q: FloatArray, C: FloatArray, z: FloatArray, R: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean (m, n), covariance (m, n, n) and squared Mahalanobis distance (m,) after the detections.
+
+        Gauss-Newton on the detection's and the prediction's squared deviations, begun where the detection
+        says; the distance is what is left at their minimum, which is y^T S^-1 y where h is linear. A
+        landmark that comes into view again is known to metres only: h linearised where it was expected
+        would say little about where it is.
+        """
+        identity = np.eye(q.shape[1])
+        at = self._sensor.invert(self._origin, z)
+        for _ in range(ITERATIONS):
+            z_at, _, H = self._sensor.linearise(self._origin, at)
+            H_t = np.swapaxes(H, -1, -2)
+            S_inv = np.linalg.inv(H @ C @ H_t + R)
+            K = C @ H_t @ S_inv
+            # From q, with h replaced by its tangent at the point of the last step.
+            y = self._sensor.residual(z, z_at) - np.einsum("mij,mj->mi", H, q - at)
+            at = q + np.einsum("mij,mj->mi", K, y)
+        distance = np.einsum("mi,mij,mj->m", y, S_inv, y)
+        # Joseph form keeps the small covariances symmetric and positive over thousands of sightings.
+        A = identity - K @ H
+        return at, A @ C @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2), distance
 
     def _add(self, ids: IntArray, z: FloatArray, R: FloatArray) -> None:
         first = len(self._row)

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.frontend.landmark_tracks import LandmarkTracks
 from slamcmp.frontend.vision.common_motion import common_motion
 from slamcmp.frontend.vision.measuring import Noise, measuring, patch_depths
 from slamcmp.frontend.vision.search_windows import search_windows
@@ -16,6 +15,7 @@ from slamcmp.frontend.vision.triangulation import PoseHistory
 from slamcmp.frontend.vision.wrong_matches import MatchRecord, score_matches, spoil_matches
 from slamcmp.geometry import exp
 from slamcmp.models.camera import MonoCamera, RgbdCamera, StereoCamera
+from slamcmp.models.sensors import body_point_jacobians
 from slamcmp.types import CameraFrame
 
 INTRINSICS = {"fx_px": 300.0, "fy_px": 310.0, "cx_px": 159.5, "cy_px": 119.5}
@@ -38,23 +38,29 @@ def placed_table(where: np.ndarray) -> TrackTable:
     return tracks
 
 
-def test_the_filters_are_those_of_the_planar_front_end() -> None:
+def test_each_row_is_an_extended_kalman_filter_of_its_own() -> None:
+    """Against the textbook's form, one landmark at a time, the covariance as P - K S K'."""
     where, count = points(7), 7
     tracks = placed_table(where)
-    reference = LandmarkTracks(PAIR, np.inf, 5, 1)
     R = np.tile(R_PAIR, (count, 1, 1))
-    reference.test(np.arange(count), PAIR.predict(np.eye(4), where), R)
     rng = np.random.default_rng(1)
-    moved = where
+    moved, means, covariances = where, tracks.q.copy(), tracks.C.copy()
+    back = np.linalg.inv(STEP)
     for _ in range(3):
         tracks.move(STEP, Q)
-        reference.predict(STEP, Q)
         moved = (moved - STEP[:3, 3]) @ STEP[:3, :3]
         z = PAIR.predict(np.eye(4), moved) + 0.3 * rng.standard_normal((count, 3))
         tracks.correct(np.arange(count), PAIR, z, R)
-        reference.test(np.arange(count), z, R)
-    np.testing.assert_allclose(tracks.q, reference._q, atol=1e-11)
-    np.testing.assert_allclose(tracks.C, reference._C, atol=1e-12)
+        for i in range(count):
+            q = back[:3, :3] @ means[i] + back[:3, 3]
+            J, _ = body_point_jacobians(np.eye(4), q)
+            C = back[:3, :3] @ covariances[i] @ back[:3, :3].T + J @ Q @ J.T
+            expected, _, H = PAIR.linearise(np.eye(4), q)
+            S = H @ C @ H.T + R_PAIR
+            K = C @ H.T @ np.linalg.inv(S)
+            means[i], covariances[i] = q + K @ (z[i] - expected), C - K @ S @ K.T
+    np.testing.assert_allclose(tracks.q, means, atol=1e-11)
+    np.testing.assert_allclose(tracks.C, covariances, atol=1e-12)
 
 
 def test_correcting_the_motion_is_as_if_it_had_been_known() -> None:
