@@ -67,6 +67,16 @@ def test_two_codes_are_one_filter(kind: Kind, new_landmarks: Any) -> None:
         np.testing.assert_allclose(one.landmarks().positions, other.landmarks().positions, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["stereo", "mono"])
+def test_postponing_changes_nothing(kind: Kind) -> None:
+    stream, _ = camera_stream(kind, frames=20)
+    plain, postponed = EkfSlam(stream.problem), EkfSlam(stream.problem, active_landmarks=15)
+    run(plain, stream)
+    run(postponed, stream)
+    np.testing.assert_allclose(postponed.joint_covariance(), plain.joint_covariance(), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(postponed.landmarks().positions, plain.landmarks().positions, atol=1e-10)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("filter_class", [BodyEkf, WorldEkf, FirstEstimatesEkf, ObservabilityConstrainedEkf])
 @pytest.mark.parametrize("new_landmarks", ["join_first", "update_first"])
