@@ -143,11 +143,12 @@ class CompiledEkf:
         return self._P[:n, :n].copy()
 
     def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the last frame with its degrees of freedom, and the number of landmarks."""
+        """NIS of the last frame with its degrees of freedom, landmarks, and measurements dropped: never any."""
         return {
             "nis": self._nis if self._nis_dof else float("nan"),
             "nis_dof": self._nis_dof,
             "landmarks": len(self._number),
+            "dropped": 0,
         }
 
     def _numbers(self, ids: IntArray) -> IntArray:
