@@ -143,7 +143,7 @@ class CompiledEkf:
         return self._P[:n, :n].copy()
 
     def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the last frame with its degrees of freedom, landmarks, and measurements dropped: never any."""
+        """NIS of the last frame with its degrees of freedom, landmarks, and measurements dropped (none)."""
         return {
             "nis": self._nis if self._nis_dof else float("nan"),
             "nis_dof": self._nis_dof,
