@@ -125,18 +125,21 @@ def test_a_ray_is_looked_for_from_infinity_to_the_smallest_depth() -> None:
     history.advance(np.eye(4), np.zeros((6, 6)))
     history.advance(STEP, Q)
     tracks.move(STEP, Q)
-    windows = search_windows(
-        tracks, SINGLE, history, (320, 240), sigma_px=0.5, depth_min_m=0.5, widest_px=50.0
-    )
-    seen = [
-        SINGLE.predict(STEP, SINGLE.point_at_depth(np.eye(4), pixel, np.array([depth])))
-        for depth in (1e9, 5.0, 1.0, 0.5)
-    ]
-    np.testing.assert_allclose(windows.start, seen[0], atol=1e-5)
-    np.testing.assert_allclose(windows.start + windows.along, seen[3], atol=1e-9)
-    # All depths lie on the segment.
-    for place in seen:
-        assert windows.distances(np.array([0]), place)[0] < 1e-9
+    # Four steps away, their doubt included, is as near as anything is looked for.
+    four_steps = 4.0 * (np.linalg.norm(STEP[:3, 3]) + 5e-3)
+    for depth_min, nearest in ((1.0, 1.0), (0.5, four_steps)):
+        windows = search_windows(
+            tracks, SINGLE, history, (320, 240), sigma_px=0.5, depth_min_m=depth_min, widest_px=50.0
+        )
+        seen = [
+            SINGLE.predict(STEP, SINGLE.point_at_depth(np.eye(4), pixel, np.array([depth])))
+            for depth in (1e9, 5.0, 1.2, nearest)
+        ]
+        np.testing.assert_allclose(windows.start, seen[0], atol=1e-5)
+        np.testing.assert_allclose(windows.start + windows.along, seen[3], atol=1e-9)
+        # All depths in between lie on the segment.
+        for place in seen:
+            assert windows.distances(np.array([0]), place)[0] < 1e-9
 
 
 def test_aligned_patches_tell_the_disparity_of_a_slanting_surface() -> None:

@@ -21,6 +21,9 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Size = tuple[int, int]
 
+_STEPS_AWAY = 4.0
+"""What is nearer than so many of the robot's steps flies past too fast to be placed."""
+
 
 @dataclass(frozen=True)
 class Windows:
@@ -103,11 +106,13 @@ def _ray_segments(
     if len(history.T_view) < 2 or not len(pixels):
         return pixels, pixels, np.zeros((2, 2))
     motion = inverse(camera.T_camera_body @ history.T_view[1] @ camera.T_body_camera)
+    turn_doubt, step_doubt = (
+        float(np.linalg.eigvalsh(history.S[1][part, part])[-1]) for part in (slice(0, 3), slice(3, 6))
+    )
+    step = float(np.linalg.norm(motion[:3, 3])) + np.sqrt(step_doubt)
+    nearest = max(depth_min_m, _STEPS_AWAY * step)
     rays = camera.rays(pixels)
     far = camera.project(rays @ motion[:3, :3].T)
-    near = camera.project(transform(motion, depth_min_m * rays))
-    # Behind the camera now: it was passed; only its distant part is looked for.
-    near = np.where(np.isfinite(near), near, far)
-    largest = np.linalg.eigvalsh(history.S[1][:3, :3])[-1]
-    largest += np.linalg.eigvalsh(history.S[1][3:, 3:])[-1] / depth_min_m**2
+    near = camera.project(transform(motion, nearest * rays))
+    largest = turn_doubt + step_doubt / nearest**2
     return far, near, max(camera.fx_px, camera.fy_px) ** 2 * largest * np.eye(2)

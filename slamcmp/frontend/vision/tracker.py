@@ -46,7 +46,8 @@ _HISTORY = 120
 """Images that a ray may wait for its parallax."""
 _SPACING_PX = 12
 """Between a new track and all others, along either axis."""
-_WIDEST_PX = 25.0
+_WIDEST_PX = 60.0
+"""Deviation of a predicted place beyond which a track is not looked for."""
 _MATCHES_MIN = 12
 """Fewer do not hold a pose well: the common motion is not asked, and new points count without waiting."""
 
