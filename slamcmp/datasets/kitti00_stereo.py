@@ -23,11 +23,11 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
-from slamcmp.datasets.folders import find_data_file, number_table
+from slamcmp.datasets.folders import DATA_VARIABLE, find_data_file, number_table
 from slamcmp.datasets.recorded_odometry import OdometryNoise, make_odometry
 from slamcmp.datasets.trajectories import nearest_rotations, read_kitti_poses
 from slamcmp.datasets.wheel import wheel_file
-from slamcmp.errors import DataError, UsageError
+from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import FORWARD_CAMERA, StereoCamera
 from slamcmp.registry import sources
@@ -40,10 +40,10 @@ PERIOD_S = 0.1
 """Between images, nominally."""
 
 
-def _files(*, truth_file: str | None = None, **_: Any) -> list[Path]:
-    own = [] if truth_file is None else [find_data_file(truth_file)]
+def _files(*, truth_file: str | None = None, truth_optional: bool = False, **_: Any) -> list[Path]:
+    truth = _truth_path(truth_file, optional=truth_optional)
     names = ("VO_calibration00.txt", "VO_camera_poses00.txt", "VO_stereo_factors00.txt")
-    return [*(wheel_file(name) for name in names), *own]
+    return [*(wheel_file(name) for name in names), *([] if truth is None else [truth])]
 
 
 @sources.register("kitti00_stereo", seeded=False, files=_files, paths=("truth_file",))
@@ -51,6 +51,7 @@ def kitti00_stereo(
     seed: int = 0,  # noqa: ARG001
     *,
     truth_file: str | None = None,
+    truth_optional: bool = False,
     start: Annotated[int, Ge(0)] = 0,
     steps: Annotated[int, Ge(2)] | None = None,
     pixel_sigma_px: Positive = 0.4,
@@ -62,7 +63,8 @@ def kitti00_stereo(
     """Stereo measurements of KITTI 00 from the gtsam wheel: 135 frames, 26 136 landmarks, known association.
 
     ``truth_file`` holds KITTI's poses of sequence 00 (``poses/00.txt``, or its first 154 lines), here, beside
-    the experiment file or under ``SLAMCMP_DATA``; without it there is no truth. ``pixel_sigma_px`` is that of
+    the experiment file or under ``SLAMCMP_DATA``; without it there is no truth. With ``truth_optional`` a
+    file that cannot be found is a warning and no error. ``pixel_sigma_px`` is that of
     each coordinate, such that the best fit has chi-squared per degree of freedom near 1. The odometry is the
     motion between the file's poses with the sigmas of a step of 0.1 s. ``start`` leaves out frames at the
     beginning, where the truth is doubtful, ``steps`` those after as many. The body is at the left camera with
@@ -85,8 +87,11 @@ def kitti00_stereo(
     )
     truth = None
     first = poses[0]
-    if truth_file is not None:
-        path = find_data_file(truth_file)
+    path = _truth_path(truth_file, optional=truth_optional)
+    warnings: tuple[str, ...] = ()
+    if truth_file is not None and path is None:
+        warnings = (f"no truth: {truth_file} was not found, nor under {DATA_VARIABLE}",)
+    if path is not None:
         known = read_kitti_poses(path)
         if len(known) <= images[-1]:
             raise DataError(
@@ -103,7 +108,19 @@ def kitti00_stereo(
         covariances,
         _detections(images, pixel_sigma_px),
         truth,
+        warnings=warnings,
     )
+
+
+def _truth_path(truth_file: str | None, *, optional: bool) -> Path | None:
+    if truth_file is None:
+        return None
+    try:
+        return find_data_file(truth_file)
+    except MissingDataError:
+        if optional:
+            return None
+        raise
 
 
 def _camera() -> StereoCamera:

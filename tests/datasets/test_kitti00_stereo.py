@@ -136,3 +136,9 @@ def test_steps_keeps_the_first_frames(log: Log) -> None:
         np.testing.assert_array_equal(a.ids, b.ids)
     with pytest.raises(UsageError, match="start 134 leaves 1 of 135 frames"):
         kitti00_stereo(start=134)
+
+
+def test_truth_may_be_missing_where_the_experiment_says_so(tmp_path: Path) -> None:
+    log = kitti00_stereo(truth_file=str(tmp_path / "none.txt"), truth_optional=True, steps=3)
+    assert log.truth is None
+    assert log.warnings == (f"no truth: {tmp_path / 'none.txt'} was not found, nor under SLAMCMP_DATA",)
