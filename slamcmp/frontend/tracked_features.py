@@ -60,7 +60,8 @@ def tracked_features(
         threshold_px: largest Sampson distance of a match that obeys the epipolar geometry.
         gate_probability: share of correct matches that the Mahalanobis test lets through.
         min_sightings: a point is a landmark from this sighting on, so that no single bad match makes one.
-        memory: frames that a landmark out of sight is remembered and looked for.
+        memory: frames that a landmark out of sight is remembered and looked for; longer than a lap, loops
+            are closed at the landmarks, and the back ends have to keep them.
         parallax_min_deg: angle between the first and the present ray of a point that a single camera places.
         wrong_match_share: this share of the matches is made wrong before they are tested, for experiments.
 
