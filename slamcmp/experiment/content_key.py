@@ -39,7 +39,9 @@ def stream_key(source: Choice, front_end: Choice, seed: int | None) -> str:
             "front_end": [front_end.name, dict(front_end.parameters)],
             "seed": seed,
             "data": data_digests(source),
-            "code": code_version(_files(source_plugin) | _files(front_end_plugin) | {PACKAGE / "types.py"}),
+            "code": code_version(
+                _files(source_plugin) | _files(front_end_plugin) | {PACKAGE / "types" / "__init__.py"}
+            ),
             "versions": versions(),
         }
     )

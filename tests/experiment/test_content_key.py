@@ -18,7 +18,7 @@ def test_closure_of_a_back_end_holds_its_models_and_no_other_back_end() -> None:
     names = {
         str(path.relative_to(PACKAGE)) for path in import_closure([PACKAGE / "backends" / "ekf_slam.py"])
     }
-    assert {"backends/ekf_slam.py", "types.py", "geometry.py", "registry.py"} <= names
+    assert {"backends/ekf_slam.py", "types/stream.py", "geometry.py", "registry.py"} <= names
     assert not any("gtsam" in name or "isam2" in name or name.startswith("report") for name in names)
 
 

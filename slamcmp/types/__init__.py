@@ -1,0 +1,35 @@
+"""The frozen dataclasses that flow from source to report.
+
+n = 2 or 3 is the space, p = 3 or 6 the pose's tangent, m the observations of a frame, d their dimension,
+K the frames, L the landmarks. Poses are homogeneous matrices ``T_world_body (n+1, n+1)`` in metres. Every
+covariance of a pose is in the body tangent, ``T = T_hat exp(xi)``, in the order (x, y, theta) for SE(2) and
+(omega, v) for SE(3). All arrays are float64 (ids: int64), checked for shape and made read-only.
+"""
+
+from __future__ import annotations
+
+from slamcmp.types.checks import TANGENT_DIM, BoolArray, FloatArray, IntArray, frozen
+from slamcmp.types.log import CameraFrame, Detections, GroundTruth, Log, Problem
+from slamcmp.types.results import Estimate, Landmarks, Run, Status, Trajectory
+from slamcmp.types.stream import Frame, FrontEndReport, MeasurementStream
+
+__all__ = [
+    "TANGENT_DIM",
+    "BoolArray",
+    "CameraFrame",
+    "Detections",
+    "Estimate",
+    "FloatArray",
+    "Frame",
+    "FrontEndReport",
+    "GroundTruth",
+    "IntArray",
+    "Landmarks",
+    "Log",
+    "MeasurementStream",
+    "Problem",
+    "Run",
+    "Status",
+    "Trajectory",
+    "frozen",
+]

@@ -1,0 +1,69 @@
+"""Arrays that are checked once, made read-only, and then trusted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.errors import DataError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+TANGENT_DIM = {2: 3, 3: 6}
+"""Dimension of the pose tangent for each dimension of space."""
+
+
+def frozen(value: Any, name: str, shape: tuple[int | None, ...], dtype: Any = np.float64) -> NDArray[Any]:
+    """``value`` as a read-only array of the given shape (None: any length), copied unless it already is one.
+
+    Raises:
+        DataError: the shape differs; the message names the field and both shapes.
+    """
+    array: NDArray[Any] = np.asarray(value, dtype=dtype)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want is not None and want != have for want, have in zip(shape, array.shape, strict=True))
+    ):
+        wanted = tuple("any" if size is None else size for size in shape)
+        raise DataError(f"{name}: shape {array.shape} where {wanted} is needed")
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+def assign(instance: object, **fields: Any) -> None:
+    """Set fields of a frozen dataclass, once, while it is made."""
+    for name, value in fields.items():
+        object.__setattr__(instance, name, value)
+
+
+def require_finite(array: NDArray[Any], name: str) -> None:
+    """Raise DataError unless every entry is finite."""
+    if not np.isfinite(array).all():
+        raise DataError(f"{name}: has entries that are not finite")
+
+
+def require_unique(ids: NDArray[Any], name: str) -> None:
+    """Raise DataError if an id stands twice."""
+    if ids.size > 1 and np.unique(ids).size != ids.size:
+        values, counts = np.unique(ids, return_counts=True)
+        raise DataError(f"{name}: id {values[counts > 1][0]} stands twice; each landmark has one")
+
+
+def require_psd(covariances: FloatArray, name: str, *, definite: bool) -> None:
+    """Check one covariance ``(d, d)`` or a batch of them for symmetry and sign."""
+    if covariances.size == 0:
+        return
+    if not np.allclose(covariances, np.swapaxes(covariances, -1, -2), rtol=1e-9, atol=1e-15):
+        raise DataError(f"{name}: a covariance is not symmetric")
+    smallest = np.linalg.eigvalsh(covariances)[..., 0]
+    scale = np.abs(covariances).max(axis=(-1, -2))
+    bad = smallest <= 0 if definite else smallest < -1e-12 * scale
+    if np.any(bad):
+        kind = "positive definite" if definite else "positive semi-definite"
+        raise DataError(f"{name}: a covariance is not {kind} (smallest eigenvalue {smallest.min():.3g})")

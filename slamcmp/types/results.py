@@ -1,0 +1,124 @@
+"""What a back end answers, and all that it did with a stream."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from slamcmp.types.checks import TANGENT_DIM, BoolArray, FloatArray, IntArray, assign, frozen, require_unique
+
+Status = Literal["ok", "diverged", "crashed", "timed_out"]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A back end's causal answer at the current frame."""
+
+    T_world_body: FloatArray
+    """(n+1, n+1)."""
+    P: FloatArray
+    """Covariance in the body tangent, (p, p)."""
+
+    def __post_init__(self) -> None:
+        size = np.shape(self.T_world_body)[-1]
+        p = TANGENT_DIM.get(size - 1, 0)
+        # Once a frame and timed with the back end: no detour through _set.
+        put = object.__setattr__
+        put(self, "T_world_body", frozen(self.T_world_body, "Estimate.T_world_body", (size, size)))
+        put(self, "P", frozen(self.P, "Estimate.P", (p, p)))
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """A map: positions in the world with their covariance blocks."""
+
+    ids: IntArray
+    """(L,)."""
+    positions: FloatArray
+    """(L, n) [m]."""
+    covariances: FloatArray
+    """(L, n, n) [m²], in world axes."""
+
+    def __post_init__(self) -> None:
+        ids = frozen(self.ids, "Landmarks.ids", (None,), np.int64)
+        require_unique(ids, "Landmarks.ids")
+        positions = frozen(self.positions, "Landmarks.positions", (ids.size, None))
+        n = positions.shape[1]
+        assign(
+            self,
+            ids=ids,
+            positions=positions,
+            covariances=frozen(self.covariances, "Landmarks.covariances", (ids.size, n, n)),
+        )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses over time, with or without their covariances."""
+
+    t: FloatArray
+    """(K,) [s]."""
+    T_world_body: FloatArray
+    """(K, n+1, n+1)."""
+    P: FloatArray | None = None
+    """(K, p, p) in the body tangent, or None."""
+
+    def __post_init__(self) -> None:
+        t = frozen(self.t, "Trajectory.t", (None,))
+        size = np.shape(self.T_world_body)[-1]
+        p = TANGENT_DIM.get(size - 1, 0)
+        assign(
+            self,
+            t=t,
+            T_world_body=frozen(self.T_world_body, "Trajectory.T_world_body", (t.size, size, size)),
+            P=None if self.P is None else frozen(self.P, "Trajectory.P", (t.size, p, p)),
+        )
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything one back end did with one stream.
+
+    A run that ended early holds the frames it finished: ``completion`` is their share.
+    """
+
+    back_end: str
+    """Label in tables; unique within an experiment."""
+    parameters: Mapping[str, Any]
+    digest: str
+    seed: int | None
+    frames: int
+    """Frames of the stream, finished or not."""
+    status: Status
+    message: str
+    online: Trajectory
+    """Causal estimates of the finished frames."""
+    update_s: FloatArray
+    """Wall time of each ``update`` [s], one entry a finished frame."""
+    estimate_s: FloatArray
+    """Wall time of each ``estimate`` [s]."""
+    final: Trajectory | None = None
+    """With hindsight, over all frames; None for a pure filter or a failed run."""
+    final_s: float = 0.0
+    """Wall time of the last ``trajectory()`` call [s]."""
+    landmarks: Landmarks | None = None
+    """The map after the last frame."""
+    joint_covariance: FloatArray | None = None
+    """Of the last pose and the map, (p + n L, p + n L)."""
+    diagnostics: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Per-frame scalars, each (finished frames,), NaN where a frame has none."""
+    kept_observations: tuple[BoolArray, ...] | None = None
+    """Of a back end that leaves out some of the stream's observations: the masks of those it used, one a
+    finished frame; None: it used them all."""
+    final_diagnostics: Mapping[str, float] = field(default_factory=dict)
+    peak_memory_mb: float = float("nan")
+    """Growth of the process's peak resident memory over the run [MB]."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def completion(self) -> float:
+        """Share of the stream's frames that were finished, 0 to 1."""
+        return self.online.t.size / self.frames
