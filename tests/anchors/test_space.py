@@ -24,7 +24,7 @@ def test_p4_right_invariant_stays_consistent_and_the_standard_filter_does_not(tm
 @pytest.mark.slow
 def test_p4_comes_out_as_published(tmp_path: Path) -> None:
     """RMSE within 15 %, NEES within 25 %: the right-invariant filter at 1 % and 5 % noise, FEJ at 5 %; there
-    the published order, in which right-invariant and FEJ are 1 % apart, and a standard filter that is far off.
+    the published order, in which right-invariant and FEJ are 1 % apart, and a standard filter far off.
     FEJ and the standard filter at 1 % and the robocentric one are better here than published."""
     verdict = verdict_of("p4", tmp_path)
     for value in verdict.values:
