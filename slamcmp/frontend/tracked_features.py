@@ -44,7 +44,8 @@ def tracked_features(
     A point with depth (stereo, RGB-D) is measured as (u_left, u_right, v). A single camera waits until
     odometry has given a point enough parallax; it then enters the map triangulated, and is measured as
     (u, v) from the next image on. The pixels that placed it are not used again; the odometry between them
-    is, by every back end alike: that it enters twice is an approximation.
+    is, by every back end alike: that it enters twice is an approximation. Points that enter together share
+    its errors; their disparities are therefore stated with ten times their own variance.
 
     Args:
         log: its sensor is a camera and it has images.

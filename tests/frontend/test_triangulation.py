@@ -160,6 +160,27 @@ def test_a_ray_is_placed_when_it_is_due_and_not_before() -> None:
     np.testing.assert_array_equal(tracks.placed, [True, False, False])
 
 
+def test_entries_bound_the_error_that_ten_points_share() -> None:
+    """J Q J^T over n points with one common error is at most n times its diagonal blocks."""
+    pixels = views_of(POINT, 6)
+    history, back = history_of(6, 0.01 * Q), np.arange(5, -1, -1)[None]
+    each = triangulate(CAMERA, history, pixels, back, np.ones((1, 6), dtype=bool), sigma_px=0.5).R[0]
+    placed = place_rays(
+        table_of(pixels),
+        np.arange(1),
+        CAMERA,
+        history,
+        sigma_px=0.5,
+        parallax_min_deg=1.0,
+        depth_min_m=0.3,
+        gate_probability=0.999,
+    )
+    along = np.array([1.0, -1.0, 0.0])
+    assert along @ placed.R[0] @ along == pytest.approx(10 * along @ each @ along)
+    # The pixel is this image's own.
+    np.testing.assert_allclose(placed.R[0][np.ix_([0, 2], [0, 2])], each[np.ix_([0, 2], [0, 2])])
+
+
 def test_a_track_remembers_its_first_view_and_the_latest() -> None:
     pixels = np.arange(24.0).reshape(1, 12, 2)
     tracks = table_of(pixels)

@@ -18,8 +18,12 @@ IntArray = NDArray[np.int64]
 
 _VIEWS_MIN = 3
 """Two views fit all but one of their four numbers by themselves: hardly anything tests the point."""
-_INVERSE_DEPTH_PRECISION = 0.25
-"""Largest deviation of the inverse depth as a share of it: four deviations from infinity."""
+_INVERSE_DEPTH_PRECISION = 0.12
+"""Largest deviation of the inverse depth as a share of it, before the factor below is put on its square:
+with more, a filter that linearises once goes astray."""
+_SHARING = 10.0
+"""Points that owe their depth to the same increments. They share those increments' errors, which a stream
+of independent measurements cannot say; n times each one's covariance bounds n fully correlated ones."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Placed:
     z: FloatArray
     """(m, 3), by the camera's entry sensor."""
     R: FloatArray
-    """(m, 3, 3)."""
+    """(m, 3, 3), for points whose errors are taken as independent."""
     contradicted: IntArray
     """Rows of rays whose views no point explains."""
 
@@ -65,4 +69,14 @@ def place_rays(
     good = found.in_front & fits & (deviation <= _INVERSE_DEPTH_PRECISION * disparity)
     good &= disparity <= pair.fx_px * pair.baseline_m / depth_min_m
     tracks.place(rows[good], pair, found.z[good], found.R[good])
-    return Placed(rows[good], found.z[good], found.R[good], rows[~fits])
+    return Placed(rows[good], found.z[good], _bounded(found.R[good]), rows[~fits])
+
+
+def _bounded(R: FloatArray) -> FloatArray:
+    """R (m, 3, 3) with the disparity's variance as large as the points' common error asks for."""
+    to_disparity = np.array([[1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    # The change of axes is its own inverse.
+    B = to_disparity @ np.diag([1.0, np.sqrt(_SHARING), 1.0]) @ to_disparity
+    larger = B @ R @ B.T
+    bounded: FloatArray = 0.5 * (larger + np.swapaxes(larger, 1, 2))
+    return bounded
