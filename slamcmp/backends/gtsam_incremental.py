@@ -5,7 +5,7 @@ Kaess et al. 2012, "iSAM2: Incremental smoothing and mapping using the Bayes tre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import gtsam
@@ -37,6 +37,10 @@ def isam2_parameters(
     parameters.relinearizeSkip = relinearize_skip
     parameters.setFactorization(factorization.upper())
     return parameters
+
+
+MANY = 1000
+"""Marginal covariances from which on a tree of their own is worth its making."""
 
 
 class IncrementalSolver:
@@ -89,6 +93,20 @@ class IncrementalSolver:
         except RuntimeError as error:
             raise diverged(self._name, self.k, error) from error
         return require_finite(covariance, self._name, self.k)
+
+    def covariances(self, count: int) -> Callable[[int], FloatArray]:
+        """What gives the marginal covariance of a variable, for ``count`` of them.
+
+        The tree has the newest pose at its root, and a variable far from it costs a long way up. For many,
+        a tree of the same linear factors in an order made for that is sooner there.
+        """
+        if count < MANY:
+            return self.covariance
+        try:
+            marginals = gtsam.Marginals(self.graph(), self._isam.getLinearizationPoint())
+        except RuntimeError as error:
+            raise diverged(self._name, self.k, error) from error
+        return lambda key: require_finite(marginals.marginalCovariance(key), self._name, self.k)
 
     def joint_covariance(self, keys: Sequence[int]) -> FloatArray:
         """Joint covariance of several variables, blocks in the order of ``keys``."""

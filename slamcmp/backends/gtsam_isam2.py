@@ -97,7 +97,8 @@ class Isam2:
     def landmarks(self) -> Landmarks:
         """Every landmark with its marginal covariance."""
         builder, solver = self._builder, self._solver
-        return builder.map(solver.values(), solver.covariance, builder.landmark_ids())
+        ids = builder.landmark_ids()
+        return builder.map(solver.values(), solver.covariances(len(ids)), ids)
 
     def joint_covariance(self) -> FloatArray:
         """Of the newest pose and the landmarks in the order of :meth:`landmarks`."""
@@ -125,7 +126,8 @@ class Isam2:
         self._final_chi2 = 2.0 * self._solver.graph().error(values)
         covariances = None
         if self._final_covariances:
-            covariances = np.array([self._solver.covariance(pose_key(k)) for k in range(len(poses))])
+            covariance = self._solver.covariances(len(poses))
+            covariances = np.array([covariance(pose_key(k)) for k in range(len(poses))])
         return Trajectory(np.array(self._t), poses, covariances)
 
     def diagnostics(self) -> Mapping[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slamcmp.backends import gtsam_incremental
 from slamcmp.backends.gtsam_batch import Batch
 from slamcmp.backends.gtsam_isam2 import Isam2
 from slamcmp.datasets.victoria_park import victoria_park
@@ -49,3 +50,14 @@ def test_final_covariances_can_be_left_out() -> None:
     stream, _, _ = toy_stream(frames=10)
     assert run(Isam2(stream.problem, final_covariances=False), stream).trajectory().P is None
     assert run(Batch(stream.problem, final_covariances=False), stream).trajectory().P is None
+
+
+def test_many_covariances_are_those_of_the_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other way to them, which large maps take; variables wait for relinearisation in both."""
+    stream, _, _ = toy_stream(frames=47, seed=3)
+    isam2 = run(Isam2(stream.problem, relinearize_threshold=0.02, relinearize_skip=7), stream)
+    one_by_one, poses = isam2.landmarks(), isam2.trajectory()
+    monkeypatch.setattr(gtsam_incremental, "MANY", 0)
+    together, poses_together = isam2.landmarks(), isam2.trajectory()
+    np.testing.assert_allclose(together.covariances, one_by_one.covariances, rtol=1e-7, atol=1e-13)
+    np.testing.assert_allclose(poses_together.P, poses.P, rtol=1e-7, atol=1e-13)
