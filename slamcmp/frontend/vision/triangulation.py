@@ -92,22 +92,25 @@ def triangulate(
 ) -> Triangulation:
     """Points from pixels (m, V, 2) seen ``back`` (m, V) frames ago, where ``used`` (m, V).
 
-    The last view of each track is the present one: ``back`` is 0 there, and it is used.
+    A track's views stand in the order of time, unused ones anywhere. The last one is the present one:
+    ``back`` is 0 there, and it is used.
     """
     motion = _camera_motion(camera, history)[back]
     body_motion = (camera.T_camera_body @ history.T_view)[back, :3, :3]
-    # Two views share the increments after the later one.
-    S = history.S[np.minimum(back[:, :, None], back[:, None, :])]
+    S = history.S[back]
     seen = camera.rays(pixels)[..., :2]
     count, views = used.shape
     idle = np.repeat(~used, 2, axis=1)
     diagonal = np.arange(2 * views)
+    earlier = diagonal[:, None] // 2 <= diagonal // 2
     pixel_variance = np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views)
     w = np.concatenate([seen[:, -1], _inverse_depth(motion, seen, used)[:, None]], axis=1)
     for _ in range(_STEPS):
         predicted, H, G, depth = _linearised(camera, motion, body_motion, w)
-        covariance = np.einsum("mvai,mvwij,mwbj->mvawb", G, S, G, optimize=True)
-        covariance = covariance.reshape(count, 2 * views, 2 * views)
+        # Two views share the increments after the later one, so its S stands between their derivatives.
+        G_all = G.reshape(count, 2 * views, 6)
+        covariance = G_all @ np.swapaxes((G @ S).reshape(G_all.shape), 1, 2)
+        covariance = np.where(earlier, covariance, np.swapaxes(covariance, 1, 2))
         covariance[:, diagonal, diagonal] += pixel_variance
         # A view without a pixel keeps its place in the arrays and loses its weight.
         covariance[idle[:, :, None] | idle[:, None, :]] = 0.0
