@@ -119,10 +119,14 @@ class Camera(ABC):
         self, T_world_body: FloatArray, landmark: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         q_body = body_point(T_world_body, landmark)
-        q = transform(self.T_camera_body, q_body)
-        D = self._derivative(q) @ self.T_camera_body[:3, :3]
+        predicted, D = self.linearise_in_body(q_body)
         body_by_pose, body_by_landmark = body_point_jacobians(T_world_body, q_body)
-        return self._measure(q), D @ body_by_pose, D @ body_by_landmark
+        return predicted, D @ body_by_pose, D @ body_by_landmark
+
+    def linearise_in_body(self, q_body: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """z (..., d) of points (..., 3) in the body frame, and its derivative (..., d, 3) by them."""
+        q = transform(self.T_camera_body, q_body)
+        return self._measure(q), self._derivative(q) @ self.T_camera_body[:3, :3]
 
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         return z - z_predicted

@@ -120,7 +120,7 @@ class TrackTable:
     def place(self, rows: IntArray, by: StereoCamera, z: FloatArray, R: FloatArray) -> None:
         """Put points where measurements (m, d) of a pair with covariances (m, d, d) say."""
         q = by.invert(_HERE, z)
-        _, H = by.jacobians(_HERE, q)
+        _, H = by.linearise_in_body(q)
         J = np.linalg.inv(H)
         self.q[rows] = q
         self.C[rows] = J @ R @ np.swapaxes(J, 1, 2)
@@ -128,13 +128,14 @@ class TrackTable:
 
     def predicted(self, rows: IntArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
         """Measurements (m, d) to expect and their covariances (m, d, d) by the points' own uncertainty."""
-        q = self.q[rows]
         with np.errstate(divide="ignore", invalid="ignore"):
-            predicted, _, H = camera.linearise(_HERE, q)
+            predicted, H = camera.linearise_in_body(self.q[rows])
             return predicted, H @ self.C[rows] @ np.swapaxes(H, 1, 2)
 
     def distances(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> FloatArray:
         """Squared Mahalanobis distances (m,) of measurements (m, d) from what the rows predict."""
+        if not rows.size:
+            return np.empty(0)
         expected, S = self.predicted(rows, camera)
         y = camera.residual(z, expected)
         squared: FloatArray = (y * np.linalg.solve(S + R, y[:, :, None])[:, :, 0]).sum(axis=1)
@@ -142,7 +143,9 @@ class TrackTable:
 
     def correct(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> None:
         """The Kalman update of each row with its measurement."""
-        predicted, _, H = camera.linearise(_HERE, self.q[rows])
+        if not rows.size:
+            return
+        predicted, H = camera.linearise_in_body(self.q[rows])
         C, H_t = self.C[rows], np.swapaxes(H, 1, 2)
         K = C @ H_t @ np.linalg.inv(H @ C @ H_t + R)
         self.q[rows] += (K @ camera.residual(z, predicted)[:, :, None])[:, :, 0]
