@@ -170,9 +170,10 @@ class FeatureTracker:
             threshold_px=self._settings.threshold_px,
         )
         clock.lap("verification")
-        agrees = self._agrees(windows, which, features.xy[chosen], measured, chosen)
+        by_window = windows.distances(which, features.xy[chosen]) <= self._pixel_gate
+        agrees = self._agrees(by_window, rows, features.xy[chosen], measured, chosen)
         self._sharpen(rows, chosen, measured, epipolar & agrees)
-        agrees &= self._agrees(windows, which, features.xy[chosen], measured, chosen)
+        agrees &= self._agrees(by_window, rows, features.xy[chosen], measured, chosen)
         passed = epipolar & agrees
         record = MatchRecord(
             self._frame, tracks.age[rows], tracks.pixel[rows], features.xy[chosen], epipolar, passed
@@ -267,11 +268,10 @@ class FeatureTracker:
         return which, chosen
 
     def _agrees(
-        self, windows: Windows, which: IntArray, now: FloatArray, measured: Measured, chosen: IntArray
+        self, by_window: BoolArray, rows: IntArray, now: FloatArray, measured: Measured, chosen: IntArray
     ) -> BoolArray:
         """The Mahalanobis test: of the whole measurement, else of the pixel; for rays by their window."""
-        rows = windows.rows[which]
-        agrees: BoolArray = windows.distances(which, now) <= self._pixel_gate
+        agrees = by_window.copy()
         placed, valid = self._tracks.placed[rows], measured.valid[chosen]
         whole, pixel_only = np.flatnonzero(placed & valid), np.flatnonzero(placed & ~valid)
         squared = self._tracks.distances(
@@ -322,7 +322,7 @@ class FeatureTracker:
         )
         tracks.rejections[new.contradicted] = _REJECTIONS_MAX
         self._name(new.rows)
-        fate[np.isin(rows, new.rows)] = ENTERED
+        fate[tracks.placed[rows] & ~placed] = ENTERED
         return fate, Detections(new.z, new.R, tracks.id[new.rows]) if new.rows.size else None
 
     def _name(self, rows: IntArray) -> None:
