@@ -32,8 +32,9 @@ def common_motion(
     """xi (6,) and its covariance (6, 6) given the innovations: maximum a posteriori, prior N(0, Q)."""
     d = y.shape[1]
     weighted = np.linalg.solve(S, np.concatenate([H, y[:, :, None]], axis=2))
-    each_A = np.swapaxes(H, 1, 2) @ weighted[:, :, :6]
-    each_b = (np.swapaxes(H, 1, 2) @ weighted[:, :, 6:])[:, :, 0]
+    weighted_H, weighted_y = weighted[:, :, :6], weighted[:, :, 6]
+    each_A = np.swapaxes(H, 1, 2) @ weighted_H
+    each_b = (np.swapaxes(H, 1, 2) @ weighted_y[:, :, None])[:, :, 0]
     xi, w = np.zeros(6), np.ones(len(y))
     covariance = Q
     for _ in range(_ROUNDS):
@@ -41,7 +42,6 @@ def common_motion(
         A = np.eye(6) + Q @ np.tensordot(w, each_A, 1)
         covariance = np.asarray(np.linalg.solve(A, Q), dtype=np.float64)
         xi = covariance @ (w @ each_b)
-        rest = y - H @ xi
-        squared = (rest * np.linalg.solve(S, rest[:, :, None])[:, :, 0]).sum(axis=1)
+        squared = ((y - H @ xi) * (weighted_y - weighted_H @ xi)).sum(axis=1)
         w = 1.0 / (1.0 + squared / (2.0 * d))
     return xi, 0.5 * (covariance + covariance.T)
