@@ -195,7 +195,8 @@ def _distinct(first: FloatArray, second: FloatArray) -> int:
 
 def _is_collinear(points: FloatArray, threshold_px: float) -> bool:
     """Whether all points lie within the threshold of one line, by their smaller principal deviation."""
-    smaller = np.linalg.eigvalsh(np.cov(points.T, bias=True))[0]
+    off = points - points.mean(axis=0)
+    smaller = np.linalg.eigvalsh(off.T @ off / len(points))[0]
     return bool(smaller < (0.5 * threshold_px) ** 2)
 
 
