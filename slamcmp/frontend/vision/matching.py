@@ -88,14 +88,15 @@ def _allowed_distances(
     """Hamming distances where they are allowed, and an impossible one elsewhere, (n, m)."""
     if allowed is None:
         return hamming_distances(first, second)
-    here, there = np.nonzero(allowed)
-    if here.size > 0.1 * allowed.size:
+    pairs = np.flatnonzero(allowed)
+    if pairs.size > 0.1 * allowed.size:
         distance = hamming_distances(first, second)
         distance[~allowed] = _NEVER
         return distance
     # Near a predicted place there are few: pair by pair is then faster than all of them.
+    here, there = np.divmod(pairs, len(second))
     a = np.ascontiguousarray(first).view(np.uint64)[here]
     b = np.ascontiguousarray(second).view(np.uint64)[there]
     distance = np.full(allowed.shape, _NEVER, dtype=np.uint16)
-    distance[here, there] = np.bitwise_count(a ^ b).sum(axis=1, dtype=np.uint16)
+    np.put(distance, pairs, np.bitwise_count(a ^ b).sum(axis=1, dtype=np.uint16))
     return distance

@@ -40,13 +40,15 @@ class Windows:
 
     def distances(self, which: IntArray, pixels: FloatArray) -> FloatArray:
         """Squared Mahalanobis distances (m,) of pixels (m, 2) from the windows ``which`` (m,)."""
+        # Axis by axis and each window's own part once: thousands of pairs come through here.
+        along_x, along_y = (self.whitening @ self.along[:, :, None])[:, :, 0].T
+        length = np.maximum(along_x * along_x + along_y * along_y, 1e-12)
+        x, y = (pixels - self.start[which]).T
         W = self.whitening[which]
-        off = (W @ (pixels - self.start[which])[:, :, None])[:, :, 0]
-        along = (W @ self.along[which][:, :, None])[:, :, 0]
-        length = np.maximum((along * along).sum(axis=1), 1e-12)
-        share = np.clip((off * along).sum(axis=1) / length, 0.0, 1.0)
-        off -= share[:, None] * along
-        squared: FloatArray = (off * off).sum(axis=1)
+        off_x, off_y = W[:, 0, 0] * x + W[:, 0, 1] * y, W[:, 1, 0] * x + W[:, 1, 1] * y
+        along_x, along_y = along_x[which], along_y[which]
+        share = np.clip((off_x * along_x + off_y * along_y) / length[which], 0.0, 1.0)
+        squared: FloatArray = (off_x - share * along_x) ** 2 + (off_y - share * along_y) ** 2
         return squared
 
     def near(self, pixels: FloatArray, limit: float) -> BoolArray:
@@ -58,8 +60,9 @@ class Windows:
         x, y = np.ascontiguousarray(pixels.T)
         allowed: BoolArray = (x >= low[:, :1]) & (x <= high[:, :1])
         allowed &= (y >= low[:, 1:]) & (y <= high[:, 1:])
-        which, pixel = np.nonzero(allowed)
-        allowed[which, pixel] = self.distances(which, pixels[pixel]) <= limit
+        pairs = np.flatnonzero(allowed)
+        which, pixel = np.divmod(pairs, len(pixels))
+        np.put(allowed, pairs, self.distances(which, pixels[pixel]) <= limit)
         return allowed
 
 
