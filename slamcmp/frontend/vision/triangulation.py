@@ -100,10 +100,12 @@ def triangulate(
     S = history.S[back]
     seen = camera.rays(pixels)[..., :2]
     count, views = used.shape
-    idle = np.repeat(~used, 2, axis=1)
-    diagonal = np.arange(2 * views)
-    earlier = diagonal[:, None] // 2 <= diagonal // 2
-    pixel_variance = np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views)
+    row = np.arange(2 * views)
+    earlier = row[:, None] // 2 <= row // 2
+    pixel_noise = np.diag(np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views))
+    # A view without a pixel keeps its place in the arrays and loses its weight.
+    busy = np.repeat(used, 2, axis=1)
+    both_busy, without = busy[:, :, None] & busy[:, None, :], ~busy[:, :, None] * np.eye(2 * views)
     w = np.concatenate([seen[:, -1], _inverse_depth(motion, seen, used)[:, None]], axis=1)
     for _ in range(_STEPS):
         predicted, H, G, depth = _linearised(camera, motion, body_motion, w)
@@ -111,16 +113,13 @@ def triangulate(
         G_all = G.reshape(count, 2 * views, 6)
         covariance = G_all @ np.swapaxes((G @ S).reshape(G_all.shape), 1, 2)
         covariance = np.where(earlier, covariance, np.swapaxes(covariance, 1, 2))
-        covariance[:, diagonal, diagonal] += pixel_variance
-        # A view without a pixel keeps its place in the arrays and loses its weight.
-        covariance[idle[:, :, None] | idle[:, None, :]] = 0.0
-        covariance[:, diagonal, diagonal] += idle
+        covariance = np.where(both_busy, covariance + pixel_noise, without)
         H = np.where(used[..., None, None], H, 0.0).reshape(count, 2 * views, 3)
         y = np.where(used[..., None], seen - predicted, 0.0).reshape(count, 2 * views, 1)
         weighted = np.linalg.solve(covariance, np.concatenate([H, y], axis=2))
         information = np.swapaxes(H, 1, 2) @ weighted[..., :3] + _RIDGE * np.eye(3)
-        misfit = (y * weighted[..., 3:]).sum(axis=(1, 2))
         w = w + np.linalg.solve(information, np.swapaxes(H, 1, 2) @ weighted[..., 3:])[..., 0]
+    misfit = (y * weighted[..., 3:]).sum(axis=(1, 2))
     to_z = np.array(
         [[camera.fx_px, 0.0, 0.0], [camera.fx_px, 0.0, -camera.fx_px * baseline_m], [0.0, camera.fy_px, 0.0]]
     )
