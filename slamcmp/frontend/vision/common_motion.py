@@ -33,13 +33,13 @@ def common_motion(
     d = y.shape[1]
     weighted = np.linalg.solve(S, np.concatenate([H, y[:, :, None]], axis=2))
     weighted_H, weighted_y = weighted[:, :, :6], weighted[:, :, 6]
-    each_A = np.swapaxes(H, 1, 2) @ weighted_H
+    each_A = (np.swapaxes(H, 1, 2) @ weighted_H).reshape(-1, 36)
     each_b = (np.swapaxes(H, 1, 2) @ weighted_y[:, :, None])[:, :, 0]
     xi, w = np.zeros(6), np.ones(len(y))
     covariance = Q
     for _ in range(_ROUNDS):
         # Solved without Q's inverse, for it may be singular.
-        A = np.eye(6) + Q @ np.tensordot(w, each_A, 1)
+        A = np.eye(6) + Q @ (w @ each_A).reshape(6, 6)
         covariance = np.asarray(np.linalg.solve(A, Q), dtype=np.float64)
         xi = covariance @ (w @ each_b)
         squared = ((y - H @ xi) * (weighted_y - weighted_H @ xi)).sum(axis=1)
