@@ -353,15 +353,10 @@ class FeatureTracker:
 
     def _crowded(self, xy: FloatArray, taken: IntArray) -> BoolArray:
         """Which pixels (m, 2) lie within the spacing of those taken, a mask over them, (m,)."""
-        assert self._size is not None
-        width, height = self._size
-        occupied = np.zeros((height, width), dtype=bool)
-        columns, rows = np.rint(xy).astype(np.int64).T
-        for column, row in zip(columns[taken].tolist(), rows[taken].tolist(), strict=True):
-            left, top = max(column - _SPACING_PX, 0), max(row - _SPACING_PX, 0)
-            occupied[top : row + _SPACING_PX + 1, left : column + _SPACING_PX + 1] = True
-        crowded: BoolArray = occupied[rows, columns]
-        return crowded
+        column, row = np.rint(xy).astype(np.int32).T
+        near: BoolArray = np.abs(column[:, None] - column[taken]) <= _SPACING_PX
+        near &= np.abs(row[:, None] - row[taken]) <= _SPACING_PX
+        return near.any(axis=1)
 
     def _forget(self) -> None:
         """Landmarks are remembered for a while; what is none yet must be seen in every image."""
