@@ -97,7 +97,7 @@ def patch_depths(depth_m: NDArray[np.float32], xy: FloatArray) -> FloatArray:
 def _pixels(noise: Noise) -> Measure:
     def measure(frame: CameraFrame, features: Features) -> Measured:  # noqa: ARG001
         count = len(features.xy)
-        R = np.tile(noise.sigma_px**2 * np.eye(2), (count, 1, 1))
+        R = np.broadcast_to(noise.sigma_px**2 * np.eye(2), (count, 2, 2))
         return Measured(features.xy, R, np.ones(count, dtype=bool))
 
     return measure
@@ -137,4 +137,4 @@ def _as_pair(
     R = np.array([[corner, corner, 0.0], [corner, corner + difference, 0.0], [0.0, 0.0, corner]])
     with np.errstate(invalid="ignore"):
         valid = (disparity <= largest) & (disparity_sigma_px <= DEPTH_PRECISION * disparity)
-    return Measured(z, np.tile(R, (len(xy), 1, 1)), valid)
+    return Measured(z, np.broadcast_to(R, (len(xy), 3, 3)), valid)
