@@ -23,6 +23,7 @@ _TRIALS = 8
 _NARROWEST_PX = 1.0
 _SURPLUS = 0.05
 """A width that gives up to this share too many corners is good enough; the weakest are cut."""
+_FAR_PX = -1e9
 
 
 def brown_radii(xy: FloatArray, response: FloatArray, *, robustness: float = 0.9) -> FloatArray:
@@ -74,8 +75,8 @@ def suppress_cells(xy: FloatArray, response: FloatArray, count: int) -> IntArray
     if total <= count:
         return order.astype(np.int64)
     corner = xy.min(axis=0)
-    x, y = (np.ascontiguousarray(axis, dtype=np.float32) for axis in (xy[order] - corner).T)
-    extent = (float(x.max()) + 1.0, float(y.max()) + 1.0)
+    x, y = (np.append(axis, _FAR_PX).astype(np.float32) for axis in (xy[order] - corner).T)
+    extent = (float(x[:-1].max()) + 1.0, float(y[:-1].max()) + 1.0)
     # Of a square per corner, this much of its side is about right for corners from a photograph.
     width = max(0.7 * math.sqrt(extent[0] * extent[1] / count), _NARROWEST_PX)
     aim = math.log(count * (1.0 + 0.5 * _SURPLUS))
@@ -112,18 +113,19 @@ def suppress_cells(xy: FloatArray, response: FloatArray, count: int) -> IntArray
 def _cell_winners(
     x: NDArray[np.float32], y: NDArray[np.float32], extent: tuple[float, float], width: float
 ) -> IntArray:
-    """Ranks of the corners that stay at this width; corners come in order of falling response."""
+    """Ranks of the corners that stay at this width; corners come in order of falling response.
+
+    After them x and y have a last entry that is far away: the place of an empty cell's corner.
+    """
     columns, rows = int(extent[0] / width) + 1, int(extent[1] / width) + 1
     scale = np.float32(1.0 / width)
-    cell = (y * scale).astype(np.int32) * columns + (x * scale).astype(np.int32)
-    none = len(x)
+    cell = (y[:-1] * scale).astype(np.int32) * columns + (x[:-1] * scale).astype(np.int32)
+    none = len(cell)
     rank = np.full(rows * columns, none, dtype=np.int32)
     # Written weakest first, so that the strongest of a cell is what stays.
     rank[cell[::-1]] = np.arange(none - 1, -1, -1, dtype=np.int32)
-    far = np.float32(-1e9)
-    cell_x, cell_y = np.append(x, far)[rank], np.append(y, far)[rank]
-    shape = (rows, columns)
-    winner, cell_x, cell_y = rank.reshape(shape), cell_x.reshape(shape), cell_y.reshape(shape)
+    winner = rank.reshape(rows, columns)
+    cell_x, cell_y = x[winner], y[winner]
     loses = np.zeros((rows, columns), dtype=bool)
     limit = np.float32((_CLEARANCE * width) ** 2)
     # Four of the eight directions reach every pair of neighbours once.
