@@ -124,13 +124,17 @@ def _box_sum(values: FloatArray, window: int) -> FloatArray:
 def _quadric_peaks(response: NDArray[np.float32], rows: IntArray, columns: IntArray) -> FloatArray:
     """Offsets (m, 2) in [-0.5, 0.5] px of the peak of a quadric through the nine responses around."""
 
-    def at(down: int, right: int) -> FloatArray:
-        return response[rows + down, columns + right].astype(np.float64)
+    values, width = response.ravel(), response.shape[1]
+    at = rows * width + columns
 
-    centre = at(0, 0)
-    slope_x, slope_y = 0.5 * (at(0, 1) - at(0, -1)), 0.5 * (at(1, 0) - at(-1, 0))
-    bend_x, bend_y = at(0, 1) + at(0, -1) - 2.0 * centre, at(1, 0) + at(-1, 0) - 2.0 * centre
-    twist = 0.25 * (at(1, 1) + at(-1, -1) - at(1, -1) - at(-1, 1))
+    def beside(down: int, right: int) -> FloatArray:
+        return values[at + (down * width + right)].astype(np.float64)
+
+    centre = beside(0, 0)
+    left, right, above, below = beside(0, -1), beside(0, 1), beside(-1, 0), beside(1, 0)
+    slope_x, slope_y = 0.5 * (right - left), 0.5 * (below - above)
+    bend_x, bend_y = right + left - 2.0 * centre, below + above - 2.0 * centre
+    twist = 0.25 * (beside(1, 1) + beside(-1, -1) - beside(1, -1) - beside(-1, 1))
     determinant = bend_x * bend_y - twist * twist
     # No peak (a ridge, a plateau): the whole pixel stays.
     determinant = np.where(determinant > 0, determinant, np.inf)
