@@ -117,23 +117,22 @@ def _cell_winners(
 
     After them x and y have a last entry that is far away: the place of an empty cell's corner.
     """
-    columns, rows = int(extent[0] / width) + 1, int(extent[1] / width) + 1
+    # A column more, always empty: flat steps then reach no cell of the next line at the other side.
+    columns, rows = int(extent[0] / width) + 2, int(extent[1] / width) + 1
     scale = np.float32(1.0 / width)
     cell = (y[:-1] * scale).astype(np.int32) * columns + (x[:-1] * scale).astype(np.int32)
     none = len(cell)
-    rank = np.full(rows * columns, none, dtype=np.int32)
+    winner = np.full(rows * columns, none, dtype=np.int32)
     # Written weakest first, so that the strongest of a cell is what stays.
-    rank[cell[::-1]] = np.arange(none - 1, -1, -1, dtype=np.int32)
-    winner = rank.reshape(rows, columns)
+    winner[cell[::-1]] = np.arange(none - 1, -1, -1, dtype=np.int32)
     cell_x, cell_y = x[winner], y[winner]
-    loses = np.zeros((rows, columns), dtype=bool)
+    loses = np.zeros(rows * columns, dtype=bool)
     limit = np.float32((_CLEARANCE * width) ** 2)
-    # Four of the eight directions reach every pair of neighbours once.
-    for down, right in ((0, 1), (1, -1), (1, 0), (1, 1)):
-        here = (slice(0, rows - down), slice(max(0, -right), columns - max(0, right)))
-        there = (slice(down, rows), slice(max(0, right), columns - max(0, -right)))
-        close = (cell_x[here] - cell_x[there]) ** 2 + (cell_y[here] - cell_y[there]) ** 2 < limit
-        here_wins = winner[here] < winner[there]
-        loses[there] |= close & here_wins
-        loses[here] |= close & ~here_wins
+    # Four of the eight directions reach every pair of neighbours once: right, and the three below.
+    for step in (1, columns - 1, columns, columns + 1):
+        across, down = cell_x[step:] - cell_x[:-step], cell_y[step:] - cell_y[:-step]
+        close = across * across + down * down < limit
+        here_wins = winner[:-step] < winner[step:]
+        loses[step:] |= close & here_wins
+        loses[:-step] |= close & ~here_wins
     return winner[(winner < none) & ~loses].astype(np.int64)
