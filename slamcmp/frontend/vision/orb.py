@@ -67,19 +67,19 @@ def intensity_centroid_angles(image: NDArray[np.uint8], xy: FloatArray) -> Float
     columns, rows = np.rint(xy).astype(np.int64).T - RADIUS_PX
     values = patches[rows, columns].reshape(-1, side * side).astype(np.float32)
     # Whole numbers below 2^24: single precision adds them exactly.
-    moments = (values @ _moment_weights()).astype(np.float64)
-    angles: FloatArray = np.degrees(np.arctan2(moments[:, 1], moments[:, 0])) % 360.0
+    across, down = ((values @ weights).astype(np.float64) for weights in _moment_weights())
+    angles: FloatArray = np.degrees(np.arctan2(down, across)) % 360.0
     return angles
 
 
 @cache
 def _moment_weights() -> NDArray[np.float32]:
-    """Coordinates (side², 2) inside the disc and 0 outside of it."""
+    """Coordinates (2, side²) inside the disc and 0 outside of it."""
     axis = np.arange(-RADIUS_PX, RADIUS_PX + 1)
     dy, dx = np.meshgrid(axis, axis, indexing="ij")
     # Half a pixel more than the radius is the disc that OpenCV's table of row widths describes.
     disc = dx * dx + dy * dy <= (RADIUS_PX + 0.5) ** 2
-    return np.stack([dx * disc, dy * disc], axis=-1).reshape(-1, 2).astype(np.float32)
+    return np.stack([dx * disc, dy * disc]).reshape(2, -1).astype(np.float32)
 
 
 @cache
