@@ -99,23 +99,23 @@ class TrackTable:
         """One frame on: carry the placed points into the new body frame, with the increment's doubt."""
         self.age += 1
         T_body_prev = inverse(T_prev_body)
-        self.q = np.where(self.placed[:, None], transform(T_body_prev, self.q), 0.0)
-        J, _ = body_point_jacobians(_HERE, self.q)
-        R = T_body_prev[:3, :3]
-        C = R @ self.C @ R.T + J @ Q @ np.swapaxes(J, 1, 2)
-        self.C = np.where(self.placed[:, None, None], C, 0.0)
+        R, rows = T_body_prev[:3, :3], np.flatnonzero(self.placed)
+        q = transform(T_body_prev, self.q[rows])
+        J, _ = body_point_jacobians(_HERE, q)
+        self.q[rows] = q
+        self.C[rows] = R @ self.C[rows] @ R.T + J @ Q @ np.swapaxes(J, 1, 2)
 
     def correct_motion(self, xi: FloatArray, Q: FloatArray, Q_left: FloatArray) -> None:
         """The last increment, moved by with covariance Q, was off by ``xi``, known up to ``Q_left``."""
-        J, _ = body_point_jacobians(_HERE, self.q)
-        J_t = np.swapaxes(J, 1, 2)
-        own = self.C - J @ Q @ J_t
+        rows = np.flatnonzero(self.placed)
+        J, _ = body_point_jacobians(_HERE, self.q[rows])
+        own = self.C[rows] - J @ Q @ np.swapaxes(J, 1, 2)
         T = exp(-xi)
-        R = T[:3, :3]
-        self.q = np.where(self.placed[:, None], transform(T, self.q), 0.0)
-        J, _ = body_point_jacobians(_HERE, self.q)
+        R, q = T[:3, :3], transform(T, self.q[rows])
+        J, _ = body_point_jacobians(_HERE, q)
         C = R @ own @ R.T + J @ Q_left @ np.swapaxes(J, 1, 2)
-        self.C = np.where(self.placed[:, None, None], 0.5 * (C + np.swapaxes(C, 1, 2)), 0.0)
+        self.q[rows] = q
+        self.C[rows] = 0.5 * (C + np.swapaxes(C, 1, 2))
 
     def place(self, rows: IntArray, by: StereoCamera, z: FloatArray, R: FloatArray) -> None:
         """Put points where measurements (m, d) of a pair with covariances (m, d, d) say."""
