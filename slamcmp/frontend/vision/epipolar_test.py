@@ -63,7 +63,7 @@ def _earlier_view(
             break
         shown, before = candidates, tracks.view_pixel[rows[candidates]][has[candidates]]
         turned = (camera.T_camera_body @ history.T_view[back] @ camera.T_body_camera)[:3, :3]
-        parallax = np.linalg.norm(now[shown] - camera.project(camera.rays(before) @ turned), axis=1)
-        if np.nanmedian(parallax) >= _PARALLAX_PX:
+        parallax = np.hypot(*(now[shown] - camera.project(camera.rays(before) @ turned)).T)
+        if np.median(parallax[np.isfinite(parallax)]) >= _PARALLAX_PX:
             break
     return shown, before
