@@ -44,6 +44,7 @@ from slamcmp.backends.window_cost import (
     OdometryTerms,
     observation_terms,
     odometry_terms,
+    oldest_pose_cost,
     squared_residuals,
 )
 from slamcmp.backends.window_sights import Sights, padded
@@ -211,12 +212,7 @@ class SlidingWindow:
         self._odometry_W = np.concatenate([self._odometry_W, W[None]])
         at, _ = self._jacobian_points()
         new = odometry_terms(self._T[-2:], at[-2:], self._increments[-1:], self._odometry_W[-1:])
-        old = self._odometry
-        self._odometry = OdometryTerms(
-            np.concatenate([old.A_prev, new.A_prev]),
-            np.concatenate([old.A_next, new.A_next]),
-            np.concatenate([old.b, new.b]),
-        )
+        self._odometry = self._odometry.followed_by(new)
         self._T_at = np.concatenate([self._T_at, predicted[None]])
 
     def _observe(self, frame: Frame) -> None:
@@ -240,12 +236,7 @@ class SlidingWindow:
             self._append(frame.ids[~unknown], frame.z[~unknown], frame.R[~unknown], entering=False)
         if self._frozen:
             fresh = self._observation_terms(slice(before, None))
-            old = self._observations
-            self._observations = ObservationTerms(
-                np.concatenate([old.H_pose, fresh.H_pose]),
-                np.concatenate([old.H_land, fresh.H_land]),
-                np.concatenate([old.b, fresh.b]),
-            )
+            self._observations = self._observations.followed_by(fresh)
 
     def _append(self, ids: IntArray, z: FloatArray, R: FloatArray, *, entering: bool) -> None:
         """Observations from the newest pose, with those of the window."""
@@ -375,14 +366,15 @@ class SlidingWindow:
         """Turn the oldest pose's costs into a prior on the next pose and the landmarks."""
         self._left.append((self._T[0], turned(self._step.first_pose_covariance(), self._turn[0])))
         leaving = self._pose_of == 0
-        quadratic, known = self._cost_of_oldest(leaving)
+        quadratic, known = oldest_pose_cost(
+            self._linear_prior, self._odometry, self._observations.of(leaving), self._landmark_of[leaving]
+        )
         quadratic = quadratic.eliminated(np.arange(self._p))
         if self._unanchored is not None:
             self._unanchored.marginalise(self._odometry, self._observations, self._pose_of, self._landmark_of)
         self._T, self._T_at = self._T[1:], self._T_at[1:]
         self._increments, self._odometry_W = self._increments[1:], self._odometry_W[1:]
-        terms = self._odometry
-        self._odometry = OdometryTerms(terms.A_prev[1:], terms.A_next[1:], terms.b[1:])
+        self._odometry = self._odometry.after_first()
         self._keep_observations(~leaving)
         self._pose_of -= 1
         self._pose_pinned, self._pinned = True, known
@@ -392,34 +384,8 @@ class SlidingWindow:
         centre = self._landmarks[: self._pinned].copy()
         self._prior = Prior(quadratic, self._T[0], centre, self._first_estimates)
 
-    def _cost_of_oldest(self, leaving: NDArray[np.bool_]) -> tuple[Quadratic, int]:
-        """The oldest pose's cost on [oldest, next, landmarks], and how many landmarks these are."""
-        p, n = self._p, self._n
-        prior, odometry, terms = self._linear_prior, self._odometry, self._observations
-        H_pose, H_land, b = terms.H_pose[leaving], terms.H_land[leaving], terms.b[leaving]
-        numbers = self._landmark_of[leaving]
-        # Landmarks are numbered by first sight, so the oldest pose's are among the first.
-        known = max((prior.eta.size - p) // n, int(numbers.max(initial=-1)) + 1)
-        size = 2 * p + n * known
-        Lam, eta = np.zeros((size, size)), np.zeros(size)
-        own = np.concatenate([np.arange(p), np.arange(2 * p, p + prior.eta.size)])
-        Lam[np.ix_(own, own)] = prior.Lam
-        eta[own] = prior.eta
-        pair = np.concatenate([odometry.A_prev[0], odometry.A_next[0]], axis=1)
-        Lam[: 2 * p, : 2 * p] += pair.T @ pair
-        eta[: 2 * p] -= pair.T @ odometry.b[0]
-        A = np.zeros((b.size, size))
-        A[:, :p] = H_pose.reshape(b.size, p)
-        rows = np.arange(b.size).reshape(b.shape)[:, :, None]
-        columns = (2 * p + n * numbers[:, None] + np.arange(n))[:, None, :]
-        A[rows, columns] = H_land
-        Lam += A.T @ A
-        eta -= A.T @ b.ravel()
-        return Quadratic(Lam, eta, prior.c + float((odometry.b[0] ** 2).sum() + (b**2).sum())), known
-
     def _keep_observations(self, keep: NDArray[np.bool_]) -> None:
-        terms = self._observations
-        self._observations = ObservationTerms(terms.H_pose[keep], terms.H_land[keep], terms.b[keep])
+        self._observations = self._observations.of(keep)
         self._pose_of, self._landmark_of = self._pose_of[keep], self._landmark_of[keep]
         self._z, self._W, self._entering = self._z[keep], self._W[keep], self._entering[keep]
 

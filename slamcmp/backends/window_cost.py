@@ -11,6 +11,7 @@ one (first estimates). That is what keeps the null space of rigid motions of the
 symbol    meaning
 ========  =====================================================================
 A, b      whitened Jacobian and residual
+Lam, eta  information matrix and vector (marginalisation.py)
 H         A's blocks for observations: H_pose (M, d, p) and H_land (M, d, n)
 W         square root of an information matrix, W^T W = R^-1 or Q^-1
 T, l      poses (K, n+1, n+1) and landmarks (L, n) of the current estimate
@@ -25,10 +26,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.backends.marginalisation import Quadratic
 from slamcmp.backends.window_sights import Sights
 from slamcmp.geometry import adjoint, change_of_axes, inverse, log, right_jacobian
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass
@@ -52,6 +56,18 @@ class OdometryTerms:
         back = np.swapaxes(turn, 1, 2)
         self.A_prev, self.A_next = self.A_prev @ back[:-1], self.A_next @ back[1:]
 
+    def followed_by(self, other: OdometryTerms) -> OdometryTerms:
+        """These rows, then the other's."""
+        return OdometryTerms(
+            np.concatenate([self.A_prev, other.A_prev]),
+            np.concatenate([self.A_next, other.A_next]),
+            np.concatenate([self.b, other.b]),
+        )
+
+    def after_first(self) -> OdometryTerms:
+        """All rows but the first."""
+        return OdometryTerms(self.A_prev[1:], self.A_next[1:], self.b[1:])
+
 
 @dataclass
 class ObservationTerms:
@@ -72,6 +88,18 @@ class ObservationTerms:
     def turn(self, turn: FloatArray) -> None:
         """Read pose errors in other axes: ``turn`` (M, p, p) is orthogonal, new axes from old ones."""
         self.H_pose = self.H_pose @ np.swapaxes(turn, 1, 2)
+
+    def followed_by(self, other: ObservationTerms) -> ObservationTerms:
+        """These rows, then the other's."""
+        return ObservationTerms(
+            np.concatenate([self.H_pose, other.H_pose]),
+            np.concatenate([self.H_land, other.H_land]),
+            np.concatenate([self.b, other.b]),
+        )
+
+    def of(self, rows: BoolArray) -> ObservationTerms:
+        """The rows of a mask (M,)."""
+        return ObservationTerms(self.H_pose[rows], self.H_land[rows], self.b[rows])
 
 
 def odometry_terms(T: FloatArray, at: FloatArray, increments: FloatArray, W: FloatArray) -> OdometryTerms:
@@ -118,3 +146,38 @@ def squared_residuals(
     total = (np.einsum("kij,kj->ki", odometry_W, steps) ** 2).sum()
     total += (np.einsum("mij,mj->mi", W, errors) ** 2).sum()
     return float(total)
+
+
+def oldest_pose_cost(
+    prior: Quadratic, odometry: OdometryTerms, observations: ObservationTerms, numbers: IntArray
+) -> tuple[Quadratic, int]:
+    """All terms that hold the oldest pose, as one cost on [oldest, next, landmarks].
+
+    Args:
+        prior: on the oldest pose and the first landmarks.
+        odometry: its first row ties the oldest pose to the next.
+        observations: those from the oldest pose.
+        numbers: their landmarks, (m,).
+
+    Returns:
+        The cost and how many landmarks it is about: the first ones, for they are numbered by first sight.
+    """
+    H_pose, H_land, b = observations.H_pose, observations.H_land, observations.b
+    p, n = H_pose.shape[2], H_land.shape[2]
+    known = max((prior.eta.size - p) // n, int(numbers.max(initial=-1)) + 1)
+    size = 2 * p + n * known
+    Lam, eta = np.zeros((size, size)), np.zeros(size)
+    own = np.concatenate([np.arange(p), np.arange(2 * p, p + prior.eta.size)])
+    Lam[np.ix_(own, own)] = prior.Lam
+    eta[own] = prior.eta
+    pair = np.concatenate([odometry.A_prev[0], odometry.A_next[0]], axis=1)
+    Lam[: 2 * p, : 2 * p] += pair.T @ pair
+    eta[: 2 * p] -= pair.T @ odometry.b[0]
+    A = np.zeros((b.size, size))
+    A[:, :p] = H_pose.reshape(b.size, p)
+    rows = np.arange(b.size).reshape(b.shape)[:, :, None]
+    columns = (2 * p + n * numbers[:, None] + np.arange(n))[:, None, :]
+    A[rows, columns] = H_land
+    Lam += A.T @ A
+    eta -= A.T @ b.ravel()
+    return Quadratic(Lam, eta, prior.c + float((odometry.b[0] ** 2).sum() + (b**2).sum())), known
