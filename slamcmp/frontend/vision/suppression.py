@@ -117,22 +117,20 @@ def _cell_winners(
 
     After them x and y have a last entry that is far away: the place of an empty cell's corner.
     """
-    # A column more, always empty: flat steps then reach no cell of the next line at the other side.
-    columns, rows = int(extent[0] / width) + 2, int(extent[1] / width) + 1
+    # A column and a row more, always empty: no step along the flat grid leads out of it or round its side.
+    columns, rows = int(extent[0] / width) + 2, int(extent[1] / width) + 2
     scale = np.float32(1.0 / width)
     cell = (y[:-1] * scale).astype(np.int32) * columns + (x[:-1] * scale).astype(np.int32)
     none = len(cell)
     winner = np.full(rows * columns, none, dtype=np.int32)
     # Written weakest first, so that the strongest of a cell is what stays.
     winner[cell[::-1]] = np.arange(none - 1, -1, -1, dtype=np.int32)
-    cell_x, cell_y = x[winner], y[winner]
-    loses = np.zeros(rows * columns, dtype=bool)
-    limit = np.float32((_CLEARANCE * width) ** 2)
+    occupied = np.flatnonzero(winner < none)
     # Four of the eight directions reach every pair of neighbours once: right, and the three below.
-    for step in (1, columns - 1, columns, columns + 1):
-        across, down = cell_x[step:] - cell_x[:-step], cell_y[step:] - cell_y[:-step]
-        close = across * across + down * down < limit
-        here_wins = winner[:-step] < winner[step:]
-        loses[step:] |= close & here_wins
-        loses[:-step] |= close & ~here_wins
-    return winner[(winner < none) & ~loses].astype(np.int64)
+    steps = np.array([[1], [columns - 1], [columns], [columns + 1]])
+    here, there = winner[occupied], winner[occupied + steps]
+    close = (x[here] - x[there]) ** 2 + (y[here] - y[there]) ** 2 < np.float32((_CLEARANCE * width) ** 2)
+    # The higher rank is the weaker corner.
+    loses = np.zeros(none, dtype=bool)
+    loses[np.maximum(here, there)[close]] = True
+    return here[~loses[here]].astype(np.int64)
