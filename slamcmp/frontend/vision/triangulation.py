@@ -156,17 +156,17 @@ def _linearised(
 
     All points are scaled by the inverse depth, so that one at infinity is no exception.
     """
-    ray = np.concatenate([w[:, :2], np.ones((len(w), 1))], axis=1)
-    R, t = motion[..., :3, :3], motion[..., :3, 3]
-    q = (R @ ray[:, None, :, None])[..., 0] + w[:, None, 2:] * t
+    by_w = motion[..., :3, [0, 1, 3]]
+    q = (by_w @ w[:, None, :, None])[..., 0] + motion[..., :3, 2]
     depth = np.where(np.abs(q[..., 2]) > 1e-6, q[..., 2], 1e-6)
     predicted = q[..., :2] / depth[..., None]
-    D = np.zeros((*depth.shape, 2, 3))
-    D[..., 0, 0] = D[..., 1, 1] = 1.0 / depth
-    D[..., :, 2] = -predicted / depth[..., None]
-    H = D @ np.stack([R[..., 0], R[..., 1], t], axis=-1)
+    ray = np.concatenate([w[:, :2], np.ones((len(w), 1))], axis=1)
     in_body = ray @ camera.T_body_camera[:3, :3].T + w[:, 2:] * camera.T_body_camera[:3, 3]
     by_perturbation = np.zeros((len(w), 3, 6))
     by_perturbation[..., :3] = -hat(in_body)
     by_perturbation[..., range(3), range(3, 6)] = w[:, 2:]
-    return predicted, H, D @ body_motion @ by_perturbation[:, None], depth
+    # d(x / z) = (dx - (x / z) dz) / z, for both at once.
+    by_both = np.concatenate([by_w, body_motion], axis=-1)
+    projected = by_both[..., :2, :] - predicted[..., None] * by_both[..., 2:, :]
+    projected /= depth[..., None, None]
+    return predicted, projected[..., :3], projected[..., 3:] @ by_perturbation[:, None], depth
