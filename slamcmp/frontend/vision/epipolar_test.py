@@ -56,14 +56,15 @@ def _earlier_view(
     leaves of the motion of the pixels.
     """
     shown, before = np.empty(0, np.int64), np.empty((0, 2))
+    view_back, view_pixel = tracks.view_back[rows], tracks.view_pixel[rows]
+    view_ray = camera.rays(view_pixel)
     for back in range(1, min(VIEWS, len(history.T_view))):
-        has = tracks.view_back[rows] == back
-        candidates = np.flatnonzero(has.any(axis=1))
+        candidates, view = np.nonzero(view_back == back)
         if len(candidates) < max(_SHARE_MIN * len(shown), _MATCHES_MIN):
             break
-        shown, before = candidates, tracks.view_pixel[rows[candidates]][has[candidates]]
+        shown, before = candidates, view_pixel[candidates, view]
         turned = (camera.T_camera_body @ history.T_view[back] @ camera.T_body_camera)[:3, :3]
-        parallax = np.hypot(*(now[shown] - camera.project(camera.rays(before) @ turned)).T)
+        parallax = np.hypot(*(now[shown] - camera.project(view_ray[candidates, view] @ turned)).T)
         if np.median(parallax[np.isfinite(parallax)]) >= _PARALLAX_PX:
             break
     return shown, before
