@@ -37,6 +37,8 @@ class Windows:
     """From there to the segment's end, (m, 2) [px]; zero for a placed point."""
     whitening: FloatArray
     """L⁻¹ of the covariance L Lᵀ, (m, 2, 2)."""
+    deviation: FloatArray
+    """By that covariance along either axis of the image, (m, 2) [px]."""
 
     def distances(self, which: IntArray, pixels: FloatArray) -> FloatArray:
         """Squared Mahalanobis distances (m,) of pixels (m, 2) from the windows ``which`` (m,)."""
@@ -54,7 +56,7 @@ class Windows:
     def near(self, pixels: FloatArray, limit: float) -> BoolArray:
         """Which pixels (n, 2) lie within each window, (m, n), at squared distance ``limit`` or less."""
         # Bounding boxes first: few pairs are left for the exact test.
-        reach = np.sqrt(limit * (np.linalg.inv(self.whitening) ** 2).sum(axis=2))
+        reach = np.sqrt(limit) * self.deviation
         end = self.start + self.along
         low, high = np.minimum(self.start, end) - reach, np.maximum(self.start, end) + reach
         x, y = np.ascontiguousarray(pixels.T)
@@ -99,7 +101,14 @@ def search_windows(
         inside = ((starts >= 0) & (starts <= np.array(size) - 1)).all(axis=1)
         known = np.trace(S, axis1=1, axis2=2) <= 2 * widest_px**2
     good = np.isfinite(starts).all(axis=1) & np.isfinite(along).all(axis=1) & inside & known
-    return Windows(rows[good], starts[good], along[good], np.linalg.inv(np.linalg.cholesky(S[good])))
+    S = S[good]
+    return Windows(
+        rows[good],
+        starts[good],
+        along[good],
+        np.linalg.inv(np.linalg.cholesky(S)),
+        np.sqrt(np.diagonal(S, axis1=1, axis2=2)),
+    )
 
 
 def _ray_segments(
@@ -109,9 +118,8 @@ def _ray_segments(
     if len(history.T_view) < 2 or not len(pixels):
         return pixels, pixels, np.zeros((2, 2))
     motion = inverse(camera.T_camera_body @ history.T_view[1] @ camera.T_body_camera)
-    turn_doubt, step_doubt = (
-        float(np.linalg.eigvalsh(history.S[1][part, part])[-1]) for part in (slice(0, 3), slice(3, 6))
-    )
+    of_turn_and_step = np.stack([history.S[1][:3, :3], history.S[1][3:, 3:]])
+    turn_doubt, step_doubt = np.linalg.eigvalsh(of_turn_and_step)[:, -1].tolist()
     step = float(np.linalg.norm(motion[:3, 3])) + np.sqrt(step_doubt)
     nearest = max(depth_min_m, _STEPS_AWAY * step)
     rays = camera.rays(pixels)
