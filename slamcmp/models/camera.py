@@ -100,9 +100,10 @@ class Camera(ABC):
 
     def rays(self, pixels: FloatArray) -> FloatArray:
         """Directions (..., 3) of pixels (..., 2) in the camera frame, with third component 1."""
-        x = (pixels[..., 0] - self.cx_px) / self.fx_px
-        y = (pixels[..., 1] - self.cy_px) / self.fy_px
-        return np.stack([x, y, np.ones_like(x)], axis=-1)
+        rays = np.ones((*pixels.shape[:-1], 3))
+        rays[..., 0] = (pixels[..., 0] - self.cx_px) / self.fx_px
+        rays[..., 1] = (pixels[..., 1] - self.cy_px) / self.fy_px
+        return rays
 
     def point_at_depth(self, T_world_body: FloatArray, pixels: FloatArray, depth_m: FloatArray) -> FloatArray:
         """World points (..., 3) seen at pixels (..., 2) with depths (...) along the optical axis [m]."""
