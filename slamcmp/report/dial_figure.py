@@ -29,7 +29,16 @@ POLICIES = {
     "fej": "first estimates (FEJ)",
     "frozen": "frozen: never relinearised",
 }
-ENDS = {"ekf_slam": ("EKF", "*"), "iterated_ekf": ("iterated EKF", "D")}
+ENDS = {
+    "ekf_slam": ("EKF", "*"),
+    "iterated_ekf": ("iterated EKF", "D"),
+    "ekf_oc": ("OC-EKF", "P"),
+    "ekf_right_invariant": ("right-invariant EKF", "X"),
+    "ekf_ideal": ("ideal EKF: at the truth", "v"),
+}
+"""Filters of one pose: name and marker. Those that linearise elsewhere stand a little to the left."""
+SOLID = ("*", "p")
+ASIDE = {"P": -0.3, "X": -0.3, "v": -0.3}
 FULL = ("full smoothing", "p")
 INFINITE = "∞"
 NEAR = 0.1
@@ -55,7 +64,8 @@ class Curve:
         "and frames; the grey band holds 95 % of a consistent estimator's averages over that many runs at "
         "one instant, so a point above it is overconfident for certain. Time: updates and estimates of the "
         "online answer. Dotted lines lead to full smoothing, which marginalises nothing and so is the end of "
-        "every policy that relinearises. Failed runs are counted at their point and are in no number."
+        "every policy that relinearises. Hollow marks are filters of one pose. Failed runs are counted at "
+        "their point and are in no number."
     ),
 )
 def plot_dial(results: Results) -> Figure:
@@ -96,13 +106,13 @@ def plot_dial(results: Results) -> Figure:
                 _draw_lead(axes, trials, curve, str(full), column, statistic, places, right, colour)
         for label, (_, marker) in ends.items():
             if label in present:
-                _draw_end(axes, trials, label, column, statistic, 0.0, marker)
+                _draw_end(axes, trials, label, column, statistic, ASIDE.get(marker, 0.0), marker)
         if full in present:
             _draw_end(axes, trials, str(full), column, statistic, right, FULL[1])
         axes.set_title(title)
         axes.set_ylabel(unit)
         axes.set_xlabel("← filter      window: poses kept      smoother →")
-        axes.set_xlim(-0.4, right + 0.4)
+        axes.set_xlim(-0.5, right + 0.4)
         axes.set_xticks([*places.values(), right], [*(str(window) for window in windows), INFINITE])
         style.log_axis(axes)
     _count_failures(panels[0], trials, curves, places)
@@ -207,8 +217,8 @@ def _draw_end(
             [float(values.agg(statistic))],
             linestyle="none",
             marker=marker,
-            markersize=11 if marker != "D" else 7,
-            markerfacecolor="none" if marker == "D" else "#222222",
+            markersize=11 if marker in SOLID else 7,
+            markerfacecolor="#222222" if marker in SOLID else "none",
             markeredgecolor="#222222",
             zorder=4,
         )
@@ -267,8 +277,8 @@ def _keys(curves: list[Curve], ends: Mapping[str, tuple[str, str]], full: bool) 
             color="#222222",
             marker=marker,
             linestyle="none",
-            markersize=9 if marker != "D" else 6,
-            markerfacecolor="none" if marker == "D" else "#222222",
+            markersize=9 if marker in SOLID else 6,
+            markerfacecolor="#222222" if marker in SOLID else "none",
         )
         for name, marker in marks
     ]
