@@ -28,6 +28,8 @@ from slamcmp.report.selection import (
 POSE_ELLIPSES = 12
 """Pose covariances drawn along the online trajectory."""
 CHI2_95 = float(chdtri(2, 0.05))
+CROWD = 200
+"""Landmarks, from which on their ellipses are drawn faint: a camera's long ones hide all else."""
 
 
 @figures.register(
@@ -119,17 +121,19 @@ def _draw_run(axes: Axes, results: Results, trial: int, label: str, colour: str)
         axes.plot(landmarks["x"], landmarks["y"], "o", color=colour, markersize=2.5, zorder=4)
     poses = frames.iloc[np.linspace(0, len(frames) - 1, min(POSE_ELLIPSES, len(frames))).astype(int)]
     renamed = poses.rename(columns={f"online_{name}": name for name in ("x", "y", "P_xx", "P_xy", "P_yy")})
-    for table in (renamed, landmarks):
-        _draw_ellipses(axes, table, colour)
+    _draw_ellipses(axes, renamed, colour)
+    _draw_ellipses(axes, landmarks, colour, alpha=0.2 if len(landmarks) >= CROWD else 1.0)
 
 
-def _draw_ellipses(axes: Axes, table: pd.DataFrame, colour: str) -> None:
+def _draw_ellipses(axes: Axes, table: pd.DataFrame, colour: str, alpha: float = 1.0) -> None:
     names = ["x", "y", "P_xx", "P_xy", "P_yy"]
     if table.empty or not has_values(table, names):
         return
     for x, y, P_xx, P_xy, P_yy in table[names].dropna().to_numpy(dtype=float):
         axes.add_patch(
-            ellipse_95(x, y, P_xx, P_xy, P_yy, fill=False, edgecolor=colour, linewidth=0.7, zorder=3)
+            ellipse_95(
+                x, y, P_xx, P_xy, P_yy, fill=False, edgecolor=colour, alpha=alpha, linewidth=0.7, zorder=3
+            )
         )
 
 
