@@ -278,7 +278,7 @@ class FeatureTracker:
             rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]]
         )
         agrees[whole] = squared <= self._gate
-        R = np.tile(self._settings.sigma_px**2 * np.eye(2), (pixel_only.size, 1, 1))
+        R = np.broadcast_to(self._settings.sigma_px**2 * np.eye(2), (pixel_only.size, 2, 2))
         squared = self._tracks.distances(rows[pixel_only], self._image_camera, now[pixel_only], R)
         agrees[pixel_only] = squared <= self._pixel_gate
         return agrees
@@ -304,7 +304,7 @@ class FeatureTracker:
         placed, valid = tracks.placed[rows], measured.valid[chosen]
         whole, pixel_only = placed & valid, placed & ~valid
         tracks.correct(rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]])
-        R = np.tile(settings.sigma_px**2 * np.eye(2), (int(pixel_only.sum()), 1, 1))
+        R = np.broadcast_to(settings.sigma_px**2 * np.eye(2), (int(pixel_only.sum()), 2, 2))
         tracks.correct(rows[pixel_only], self._image_camera, features.xy[chosen[pixel_only]], R)
         tracks.see(rows, features.descriptors[chosen], features.xy[chosen])
         fate = np.full(len(rows), NO_PARALLAX)
@@ -340,7 +340,8 @@ class FeatureTracker:
         """
         free = measured.valid.copy()
         free[taken] = False
-        candidates = np.flatnonzero(free & ~self._crowded(features.xy, taken))
+        candidates = np.flatnonzero(free)
+        candidates = candidates[~_crowded(features.xy[candidates], features.xy[taken])]
         if wanted <= 0 or not candidates.size:
             return np.empty(0, np.int64), np.empty(0, np.int64)
         spread = suppress_cells(features.xy[candidates], features.response[candidates], wanted)
@@ -351,18 +352,20 @@ class FeatureTracker:
         self._tracks.place(rows, self.sensor, measured.z[new], measured.R[new])
         return new, rows
 
-    def _crowded(self, xy: FloatArray, taken: IntArray) -> BoolArray:
-        """Which pixels (m, 2) lie within the spacing of those taken, a mask over them, (m,)."""
-        column, row = np.rint(xy).astype(np.int32).T
-        near: BoolArray = np.abs(column[:, None] - column[taken]) <= _SPACING_PX
-        near &= np.abs(row[:, None] - row[taken]) <= _SPACING_PX
-        return near.any(axis=1)
-
     def _forget(self) -> None:
         """Landmarks are remembered for a while; what is none yet must be seen in every image."""
         tracks = self._tracks
         patience = np.where(tracks.id >= 0, self._settings.memory, 0)
         tracks.keep((tracks.age <= patience) & (tracks.rejections < _REJECTIONS_MAX))
+
+
+def _crowded(xy: FloatArray, taken: FloatArray) -> BoolArray:
+    """Which pixels (m, 2) lie within the spacing of those taken (n, 2), a mask over them, (m,)."""
+    column, row = np.rint(xy).astype(np.int32).T
+    taken_column, taken_row = np.rint(taken).astype(np.int32).T
+    near: BoolArray = np.abs(column[:, None] - taken_column) <= _SPACING_PX
+    near &= np.abs(row[:, None] - taken_row) <= _SPACING_PX
+    return near.any(axis=1)
 
 
 @dataclass
