@@ -128,7 +128,8 @@ def _quadric_peaks(response: NDArray[np.float32], rows: IntArray, columns: IntAr
     at = rows * width + columns
 
     def beside(down: int, right: int) -> FloatArray:
-        return values[at + (down * width + right)].astype(np.float64)
+        value: FloatArray = values[at + (down * width + right)].astype(np.float64)
+        return value
 
     centre = beside(0, 0)
     left, right, above, below = beside(0, -1), beside(0, 1), beside(-1, 0), beside(1, 0)

@@ -363,9 +363,10 @@ def _crowded(xy: FloatArray, taken: FloatArray) -> BoolArray:
     """Which pixels (m, 2) lie within the spacing of those taken (n, 2), a mask over them, (m,)."""
     column, row = np.rint(xy).astype(np.int32).T
     taken_column, taken_row = np.rint(taken).astype(np.int32).T
-    near: BoolArray = np.abs(column[:, None] - taken_column) <= _SPACING_PX
+    near = np.abs(column[:, None] - taken_column) <= _SPACING_PX
     near &= np.abs(row[:, None] - taken_row) <= _SPACING_PX
-    return near.any(axis=1)
+    crowded: BoolArray = near.any(axis=1)
+    return crowded
 
 
 @dataclass
