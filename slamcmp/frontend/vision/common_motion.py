@@ -35,6 +35,9 @@ def common_motion(
     weighted_H, weighted_y = weighted[:, :, :6], weighted[:, :, 6]
     each_A = (np.swapaxes(H, 1, 2) @ weighted_H).reshape(-1, 36)
     each_b = (np.swapaxes(H, 1, 2) @ weighted_y[:, :, None])[:, :, 0]
+    # One product for all matches, not one for each.
+    flat_H, flat_weighted_H = H.reshape(-1, 6), weighted_H.reshape(-1, 6)
+    flat_y, flat_weighted_y = y.ravel(), weighted_y.ravel()
     xi, w = np.zeros(6), np.ones(len(y))
     covariance = Q
     for _ in range(_ROUNDS):
@@ -42,6 +45,7 @@ def common_motion(
         A = np.eye(6) + Q @ (w @ each_A).reshape(6, 6)
         covariance = np.asarray(np.linalg.solve(A, Q), dtype=np.float64)
         xi = covariance @ (w @ each_b)
-        squared = ((y - H @ xi) * (weighted_y - weighted_H @ xi)).sum(axis=1)
+        squared = (flat_y - flat_H @ xi) * (flat_weighted_y - flat_weighted_H @ xi)
+        squared = squared.reshape(y.shape).sum(axis=1)
         w = 1.0 / (1.0 + squared / (2.0 * d))
     return xi, 0.5 * (covariance + covariance.T)
