@@ -1,7 +1,7 @@
 """Make the images of README and docs from the shipped experiments: python docs/make_figures.py [IMAGE …]
 
-Runs what has no result yet into the results folder (minutes for the smaller experiments, a quarter of an hour
-for all) and draws each figure into docs/images. Estimates repeat to the last digit; panels of times are those
+Runs what has no result yet into the results folder (minutes for the smaller experiments, half an hour for
+all) and draws each figure into docs/images. Estimates repeat to the last digit; panels of times are those
 of the machine, and only comparable with --jobs 1 on a quiet one.
 """
 
@@ -13,9 +13,12 @@ import sys
 import tempfile
 from pathlib import Path
 
+from slamcmp.experiment.config import load_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.shipped import find_experiment
+from slamcmp.frontend.vision.image_pair import extract_features, match_features
 from slamcmp.report import draw_figures
+from slamcmp.report.front_end_figures import draw_front_end
 
 DOCS = Path(__file__).resolve().parent
 
@@ -27,8 +30,12 @@ IMAGES = {
     "kl_from_batch.png": ("observability", "kl_from_batch"),
     "association.png": ("association", "association"),
     "victoria_park_map.png": ("victoria_park", "map"),
+    "rendered_room_map.png": ("rendered_room", "map"),
 }
 """File in docs/images: shipped experiment, figure."""
+
+MATCHES = {"rendered_room_matches.png": ("rendered_room", (20, 30))}
+"""File in docs/images: shipped experiment with a camera, two of its first trial's images."""
 
 
 def make(names: list[str], results: Path, jobs: int | None) -> None:
@@ -53,17 +60,38 @@ def make(names: list[str], results: Path, jobs: int | None) -> None:
             print(f"docs/images/{name}")
 
 
+def make_matches(name: str) -> None:
+    """Draw what ``slamcmp frontend`` draws of two images, for images that are not files."""
+    experiment, pair = MATCHES[name]
+    source = load_experiment(find_experiment(experiment)).source
+    log = source.plugin().target(0, **source.parameters)
+    pictures = [log.images[k].image for k in pair]
+    features = [extract_features(picture, count=500) for picture in pictures]
+    matches = match_features(*features, seed=0)
+    with tempfile.TemporaryDirectory() as folder:
+        titles = [f"image {k}" for k in pair]
+        files = draw_front_end(titles, pictures, features, [matches], Path(folder))
+        drawn = next(file for file in files if file.stem == "matches")
+        shutil.copyfile(drawn, DOCS / "images" / name)
+    print(f"docs/images/{name}")
+
+
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", 1)[1])
-    parser.add_argument("images", nargs="*", metavar="IMAGE", help=f"of {', '.join(IMAGES)}; default: all")
+    known = [*IMAGES, *MATCHES]
+    parser.add_argument("images", nargs="*", metavar="IMAGE", help=f"of {', '.join(known)}; default: all")
     parser.add_argument("--results", type=Path, default=Path("results"), help="default: results")
     parser.add_argument("--jobs", type=int, default=None, help="default: one for each core")
     options = parser.parse_args()
-    unknown = sorted(set(options.images) - set(IMAGES))
+    unknown = sorted(set(options.images) - set(known))
     if unknown:
-        parser.error(f"no image {', '.join(unknown)}; known: {', '.join(IMAGES)}")
-    make(options.images or list(IMAGES), options.results, options.jobs)
+        parser.error(f"no image {', '.join(unknown)}; known: {', '.join(known)}")
+    names = options.images or known
+    for name in names:
+        if name in MATCHES:
+            make_matches(name)
+    make([name for name in names if name in IMAGES], options.results, options.jobs)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,13 +19,11 @@ COMMAND = ROOT / "docs" / "make_figures.py"
 
 
 @pytest.fixture(scope="module")
-def images() -> dict[str, tuple[str, str]]:
-    """The command's own table: image, experiment and figure."""
-    namespace: dict[str, object] = {"__name__": "make_figures", "__file__": str(COMMAND)}
+def command() -> dict[str, Any]:
+    """What the command's file defines."""
+    namespace: dict[str, Any] = {"__name__": "make_figures", "__file__": str(COMMAND)}
     exec(compile(COMMAND.read_text(encoding="utf-8"), str(COMMAND), "exec"), namespace)
-    table = namespace["IMAGES"]
-    assert isinstance(table, dict)
-    return table
+    return namespace
 
 
 def shown() -> set[str]:
@@ -37,19 +36,19 @@ def shown() -> set[str]:
     return {Path(link).name for link in links}
 
 
-def test_every_image_is_made_by_the_command_and_shown(images: dict[str, tuple[str, str]]) -> None:
+def test_every_image_is_made_by_the_command_and_shown(command: dict[str, Any]) -> None:
     kept = {path.name for path in (ROOT / "docs" / "images").iterdir()}
-    assert shown() == set(images) == kept
+    assert shown() == {*command["IMAGES"], *command["MATCHES"]} == kept
 
 
-def test_every_image_comes_from_a_shipped_experiment_that_draws_it(
-    images: dict[str, tuple[str, str]],
-) -> None:
+def test_every_image_comes_from_a_shipped_experiment_that_draws_it(command: dict[str, Any]) -> None:
     shipped = shipped_experiments()
-    for experiment, figure in images.values():
+    for experiment, figure in command["IMAGES"].values():
         assert figure in figures
         named = load_experiment(shipped[experiment]).figures
         assert named is None or figure in named
+    for experiment, pair in command["MATCHES"].values():
+        assert max(pair) < load_experiment(shipped[experiment]).source.parameters["steps"]
 
 
 def test_an_image_that_is_not_known_is_refused() -> None:
