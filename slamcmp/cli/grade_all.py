@@ -174,11 +174,17 @@ def _print(result: ClassResult) -> None:
     if summary.failures:
         console.print("most frequent failures:")
     for failure in summary.failures:
-        share = f"{failure.submissions} submissions, {100 * failure.lost:.0f} % of its points"
+        share = f"{_counted(failure.submissions, 'submission')}, {100 * failure.lost:.0f} % of its points"
         console.print(f"  {failure.test}: {share}")
         if failure.message:
-            console.print(f"      {failure.message_count} times: {failure.message}", soft_wrap=True)
+            console.print(
+                f"      {_counted(failure.message_count, 'time')}: {failure.message}", soft_wrap=True
+            )
     for row in result.rows:
         if row.ended not in ("ok", "pending"):
             console.print(f"grader {row.ended}: {row.student}", soft_wrap=True)
     console.print(f"gradebook: {result.folder / 'gradebook.csv'}", soft_wrap=True)
+
+
+def _counted(count: int, name: str) -> str:
+    return f"{count} {name}" if count == 1 else f"{count} {name}s"

@@ -32,7 +32,7 @@ def test_a_class_is_graded_and_summarised(tmp_path: Path, monkeypatch: pytest.Mo
     assert first.exit_code == 0, first.output
     assert "2 of 2 graded (0 from earlier runs)" in first.output
     assert "median 83.3, mean 83.3" in first.output
-    assert "2 Half: 1 submissions, 50 % of its points" in first.output
+    assert "2 Half: 1 submission, 50 % of its points" in first.output
     second = RUNNER.invoke(app, [*words, "--accept-weak-sandbox", "--json"])
     assert second.exit_code == 0, second.output
     summary = json.loads(second.output)
