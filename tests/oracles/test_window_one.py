@@ -9,7 +9,7 @@ import pytest
 
 from slamcmp.backends.ekf_slam import EkfSlam
 from slamcmp.backends.gtsam_batch import Batch
-from tests.oracles.window_graph import WindowOneGraph
+from tests.oracles.window_graph import WindowOneGraph, assert_same_all_along
 from tests.toy_stream import toy_stream
 
 
@@ -22,13 +22,7 @@ def test_ekf_is_the_window_one_graph(sensor_name: str, axes: Literal["world", "b
     )
     ekf = EkfSlam(stream.problem, error_state=axes)
     graph = WindowOneGraph(stream.problem, axes=axes)
-    for frame in stream.frames:
-        ekf.update(frame)
-        graph.update(frame)
-        np.testing.assert_allclose(ekf.estimate().T_world_body, graph.pose(), rtol=0, atol=1e-9)
-        np.testing.assert_allclose(ekf.landmarks().positions, graph.positions(), rtol=0, atol=1e-9)
-        np.testing.assert_allclose(ekf.joint_covariance(), graph.joint_covariance(), rtol=0, atol=1e-9)
-    assert ekf.landmarks().ids.tolist() == graph.ids
+    assert_same_all_along(stream, ekf, graph)
     assert len(graph.ids) == 20
 
 

@@ -10,10 +10,11 @@ from typing import Literal
 import gtsam
 import numpy as np
 
+from slamcmp.backends.ekf_slam import EkfSlam
 from slamcmp.models.camera import Camera, MonoCamera
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.protocols import SensorModel
-from slamcmp.types import Frame, Problem
+from slamcmp.types import Frame, MeasurementStream, Problem
 
 X, L = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
 
@@ -178,3 +179,14 @@ class WindowOneGraph:
     def joint_covariance(self) -> np.ndarray:
         """(p + n L, p + n L), pose first, landmarks in the order of first sight."""
         return self.P
+
+
+def assert_same_all_along(stream: MeasurementStream, ekf: EkfSlam, graph: WindowOneGraph) -> None:
+    """Mean, map and joint covariance of both after every frame, to 1e-9."""
+    for frame in stream.frames:
+        ekf.update(frame)
+        graph.update(frame)
+        np.testing.assert_allclose(ekf.estimate().T_world_body, graph.pose(), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ekf.landmarks().positions, graph.positions(), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ekf.joint_covariance(), graph.joint_covariance(), rtol=0, atol=1e-9)
+    assert ekf.landmarks().ids.tolist() == graph.ids

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +10,11 @@ import pytest
 from scipy.special import chdtri
 
 from slamcmp import geometry as g
-from slamcmp.errors import UsageError
 from slamcmp.models.motion import Unicycle, increment_covariance
 from slamcmp.models.sensors import RangeBearing
-from slamcmp.registry import sources
-from slamcmp.types import Frame, Log, MeasurementStream
-from slamcmp.worlds.settings import Settings, field_docs
+from slamcmp.types import Log
+from tests.worlds.planar_logs import ODOMETRY, WORLDS, as_stream, make
 
-WORLDS = ["circle", "corridor", "figure_eight", "lawnmower", "random"]
-ODOMETRY = ["unicycle", "straight_then_turn", "bicycle", "encoders"]
 NO_NOISE = {
     "speed_sigma_m_s": 0.0,
     "turn_sigma_deg_s": 0.0,
@@ -32,20 +25,6 @@ NO_NOISE = {
     "prior_heading_sigma_rad": 0.0,
     "resolution": 0.0,
 }
-
-
-def make(name: str, seed: int = 1, **parameters) -> Log:
-    return sources.get(name).target(seed, **parameters)
-
-
-def as_stream(log: Log) -> MeasurementStream:
-    return MeasurementStream(
-        log.problem,
-        tuple(
-            Frame(k, float(log.t[k]), log.T_prev_body[k], log.Q[k], seen.ids, seen.z, seen.R)
-            for k, seen in enumerate(log.detections)
-        ),
-    )
 
 
 def residuals(log: Log) -> tuple[np.ndarray, np.ndarray]:
@@ -358,15 +337,6 @@ def test_known_heading_makes_the_problem_linear():
     )
 
 
-@pytest.mark.parametrize("odometry", ODOMETRY)
-def test_sensed_numbers_are_rounded(odometry):
-    log = make("random", odometry=odometry, steps=50)
-    numbers = [g.se2_coordinates(log.T_prev_body)[:, :2].ravel()]
-    numbers += [seen.z[:, 0] for seen in log.detections]
-    scaled = np.concatenate(numbers) * 1e9
-    np.testing.assert_allclose(scaled, np.round(scaled), rtol=0, atol=1e-5)
-
-
 def test_bearings_stay_in_the_half_open_interval():
     log = make("circle", bearing_sigma_deg=30.0)
     b = np.concatenate([seen.z for seen in log.detections])[:, 1]
@@ -380,100 +350,8 @@ def test_ranges_stay_positive_under_coarse_noise():
     assert min(seen.z[:, 0].min(initial=1.0) for seen in log.detections) > 0
 
 
-@pytest.mark.parametrize("name", WORLDS)
-def test_seeds_differ_and_repeat(name):
-    digests = [as_stream(make(name, seed, steps=40)).digest for seed in (1, 2, 1)]
-    assert digests[0] == digests[2] != digests[1]
-
-
-def test_two_processes_agree_on_the_digest():
-    code = (
-        "from tests.worlds.test_planar import *\n"
-        "print(*(as_stream(make(name, 5, steps=60, outlier_fraction=0.1)).digest for name in WORLDS))"
-    )
-    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    here = [as_stream(make(name, 5, steps=60, outlier_fraction=0.1)).digest for name in WORLDS]
-    assert there.stdout.split() == here
-
-
-@pytest.mark.parametrize("name", WORLDS)
-def test_last_bits_of_another_machine_leave_the_digest(name, monkeypatch):
-    """Another libm's sines differ in the last bit; every number that went through one is moved by that."""
-    here = as_stream(make(name, 3, steps=60)).digest
-
-    def nudge(owner, method):
-        original = getattr(owner, method)
-
-        def nudged(*arguments):
-            result = original(*arguments)
-            return np.nextafter(result, np.where(result == 0, 0, np.inf))
-
-        monkeypatch.setattr(owner, method, nudged)
-
-    nudge(Unicycle, "increment")
-    nudge(Unicycle, "jacobian")
-    nudge(RangeBearing, "predict")
-    moved = make(name, 3, steps=60)
-    assert as_stream(moved).digest == here
-    # With every bit kept, the same nudges show.
-    exact = as_stream(make(name, 3, steps=60, resolution=0.0)).digest
-    monkeypatch.undo()
-    assert as_stream(make(name, 3, steps=60, resolution=0.0)).digest != exact
-
-
-def test_parameters_are_listed_for_the_configuration():
-    shared = sources.get("circle").parameters().keys() & sources.get("random").parameters().keys()
-    assert {"steps", "landmarks", "sensor", "noise_scale", "outlier_fraction", "odometry"} <= shared
-    assert sources.get("lawnmower").parameters()["rows"].default == 6
-    assert sources.get("corridor").parameters()["turn_deg_s"].default == 45.0
-    assert sources.get("circle").parameters()["turn_deg_s"].default == 6.0
-    for name in WORLDS:
-        plugin = sources.get(name)
-        assert plugin.traits["seeded"] is True
-        assert not plugin.summary.startswith("dict")
-        for parameter in plugin.parameters().values():
-            assert parameter.default is not inspect.Parameter.empty
-            assert not isinstance(parameter.annotation, str)
-
-
-@pytest.mark.parametrize(
-    ("name", "parameters", "message"),
-    [
-        ("circle", {"range_min_m": 5.0, "range_max_m": 5.0}, "largest range must be above"),
-        ("circle", {"range_min_m": 0.0}, "must be positive"),
-        ("circle", {"steps": 1}, "steps at least 2"),
-        ("circle", {"odometry": "tricycle"}, "tricycle"),
-        ("circle", {"colour": 3}, "no parameter 'colour'"),
-        ("lawnmower", {"rows": 3}, "even number"),
-        ("circle", {"sensor": "sonar"}, "sonar"),
-    ],
-)
-def test_contradictions_are_refused(name, parameters, message):
-    with pytest.raises(UsageError, match=message):
-        make(name, **parameters)
-
-
 def test_logs_are_frozen():
     log = make("circle", steps=5)
     with pytest.raises(ValueError, match="read-only"):
         log.detections[0].z[...] = 0
     assert replace(log, name="other").name == "other"
-
-
-def test_walk_in_a_square_smaller_than_the_turning_circle_is_refused() -> None:
-    # 1 m/s at 3 deg/s: the circle's diameter is 2 / (3 pi / 180) = 38.2 m.
-    with pytest.raises(UsageError, match=r"half_size_m is 20: .* within 38\.2 m .*; 31\.8 or more"):
-        make("random", turn_deg_s=3.0)
-    assert len(make("random", turn_deg_s=3.0, half_size_m=31.9, steps=2000).t) == 2000
-
-
-def test_annulus_whose_bounds_are_swapped_is_refused() -> None:
-    with pytest.raises(UsageError, match="annulus_min_m is 6 and annulus_max_m 5: "):
-        make("circle", annulus_min_m=6.0)
-
-
-def test_texts_of_the_settings_are_found() -> None:
-    docs = field_docs()
-    assert docs["turn_deg_s"] == "Turn rate in bends: with the speed it sets their radius."
-    assert "steering_sigma_deg" in docs
-    assert docs.keys() <= Settings.__dataclass_fields__.keys()
