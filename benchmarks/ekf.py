@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 
 from slamcmp import geometry
-from slamcmp.backends.ekf_slam import EkfSlam
+from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.models.sensors import RangeBearing
 from slamcmp.types import Frame, Problem
 

@@ -29,7 +29,7 @@ from collections.abc import Callable
 import gtsam
 import numpy as np
 
-from slamcmp.backends.gtsam_isam2 import Isam2
+from slamcmp.backends.gtsam_smoothers.isam2 import Isam2
 from slamcmp.frontend.labelled import labelled
 from slamcmp.registry import sources
 from slamcmp.types import Frame, MeasurementStream

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from slamcmp.backends.ekf_compiled import CompiledEkf
-from slamcmp.backends.ekf_slam import EkfSlam
+from slamcmp.backends.filters.ekf_compiled import CompiledEkf
+from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.frontend.labelled import labelled
 from slamcmp.randomness import random_streams
 from slamcmp.types import FloatArray, MeasurementStream

@@ -21,7 +21,7 @@ import time
 import numpy as np
 
 from slamcmp import geometry
-from slamcmp.backends.ekf_slam import EkfSlam
+from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.models.sensors import RangeBearing
 from slamcmp.types import Frame, Problem
 

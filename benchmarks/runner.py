@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.executors import warm_up
-from slamcmp.experiment.plugin_models import bind_parameters
-from slamcmp.experiment.run_back_end import run_back_end
+from slamcmp.experiment.job.run_back_end import run_back_end
+from slamcmp.experiment.job.worker import make_stream
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.worker import make_stream
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.registry import back_ends
+from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.types import MeasurementStream
 
 FRAMES = 1000

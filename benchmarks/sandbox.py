@@ -21,9 +21,9 @@ import time
 
 import numpy as np
 
+from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox.process import ROOT
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.submission import Submission
 from slamcmp.models.sensors import make_sensor
 from slamcmp.types import Frame, Problem
 

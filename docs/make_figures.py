@@ -13,12 +13,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.shipped import find_experiment
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
 from slamcmp.report import draw_figures
-from slamcmp.report.front_end_figures import draw_front_end
+from slamcmp.report.figures.front_end import draw_front_end
 
 DOCS = Path(__file__).resolve().parent
 

@@ -11,9 +11,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 _SMALL = 1e-4
 """Below this angle [rad] the trigonometric quotients use their Taylor series (error under 1e-17)."""

@@ -164,9 +164,15 @@ def _told(error: BaseException, path: Path) -> str:
 
 sources = Registry("source", "slamcmp.worlds", "slamcmp.datasets")
 front_ends = Registry("front end", "slamcmp.frontend")
-back_ends = Registry("back end", "slamcmp.backends")
+back_ends = Registry(
+    "back end",
+    "slamcmp.backends",
+    "slamcmp.backends.filters",
+    "slamcmp.backends.window",
+    "slamcmp.backends.gtsam_smoothers",
+)
 sensors = Registry("sensor", "slamcmp.models")
 metrics = Registry("metric", "slamcmp.metrics")
 executors = Registry("executor", "slamcmp.experiment")
-figures = Registry("figure", "slamcmp.report")
+figures = Registry("figure", "slamcmp.report.figures")
 test_kinds = Registry("kind of test", "slamcmp.grading.kinds")

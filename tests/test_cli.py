@@ -16,10 +16,10 @@ import pytest
 
 import slamcmp
 from slamcmp.cli.run import _blocks, print_table
-from slamcmp.experiment.store import load_results
 from slamcmp.frontend.stream_file import load_stream
+from slamcmp.results.store import load_results
 
-PLUGINS = Path(__file__).parent / "experiment" / "user_plugins.py"
+PLUGINS = Path(__file__).parent / "user_plugins.py"
 ROOT = Path(__file__).parents[1]
 
 

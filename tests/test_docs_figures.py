@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from slamcmp.experiment.config import load_experiment
-from slamcmp.experiment.shipped import shipped_experiments
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.shipped import shipped_experiments
 from slamcmp.registry import figures
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.choice import Choice
+from slamcmp.experiment.config.component import Choice
 from slamcmp.experiment.content_key import run_key
 from slamcmp.registry import Registry, load_user_plugin
 
@@ -50,7 +50,7 @@ def test_file_that_does_not_import_is_a_usage_error(tmp_path: Path, content: str
 
 
 def test_annotation_that_cannot_be_evaluated_is_a_usage_error(tmp_path: Path) -> None:
-    from slamcmp.experiment.plugin_models import parameter_model
+    from slamcmp.support.plugin_models import parameter_model
 
     path = tmp_path / "mine.py"
     path.write_text(

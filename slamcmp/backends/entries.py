@@ -12,17 +12,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError, DivergedError
 from slamcmp.models.camera import Camera
 from slamcmp.models.sensors import entry_sensor
-from slamcmp.protocols import SensorModel
-from slamcmp.types import Frame
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, FloatArray, Frame, IntArray, SensorModel
 
 MOST_WITHOUT_IMAGE = 0.5
 """Largest share of a frame's measurements that may be of landmarks without an image; above it the estimate

@@ -27,17 +27,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.geometry import adjoint_of_inverse
 from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, LocalEstimator
-from slamcmp.types import TANGENT_DIM, BoolArray, Estimate, Frame, Landmarks, Problem
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
+from slamcmp.types import TANGENT_DIM, BoolArray, Estimate, FloatArray, Frame, IntArray, Landmarks, Problem
 
 PASSED_ON = ("trajectory", "record_linearisation", "linearisation")
 """What the gated back end offers if the one behind the gate does."""

@@ -8,10 +8,7 @@ relaxation; Irons and Tuck 1969).
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 STEEP = 1.5
 """Up to this c a whole step leaves at most half of itself, and is taken."""

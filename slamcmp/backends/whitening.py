@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 
 def require_definite(covariance: FloatArray, what: str) -> None:

@@ -12,7 +12,7 @@ import typer
 from slamcmp.errors import UsageError
 
 if TYPE_CHECKING:
-    from slamcmp.experiment.conformance import Finding
+    from slamcmp.experiment.conformance.check import Finding
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -52,12 +52,12 @@ def check(
 
 def _findings(back_end: str, settings: list[str]) -> list[Finding]:
     if back_end.endswith(".py"):
-        from slamcmp.grading.public_tests import run_public_tests
+        from slamcmp.grading.assignment.public_tests import run_public_tests
 
         if settings:
             raise UsageError(f"--set: {back_end} is no back end; FILE.py:CLASS would be one")
         return run_public_tests(Path(back_end))
-    from slamcmp.experiment.conformance import check_back_end
+    from slamcmp.experiment.conformance.check import check_back_end
 
     return check_back_end(back_end, _parameters(back_end, settings))
 
@@ -68,8 +68,8 @@ def _parameters(back_end: str, settings: list[str]) -> dict[str, Any]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    from slamcmp.experiment.plugin_models import bind_parameters
     from slamcmp.registry import back_ends
+    from slamcmp.support.plugin_models import bind_parameters
 
     given = {}
     for setting in settings:

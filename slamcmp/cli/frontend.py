@@ -37,7 +37,7 @@ def frontend(
     # Slow to import, and not needed for --help.
     from slamcmp.frontend.vision.image_pair import extract_features, match_features
     from slamcmp.image_files import read_image
-    from slamcmp.report.front_end_figures import draw_front_end, front_end_tables
+    from slamcmp.report.figures.front_end import draw_front_end, front_end_tables
 
     pictures = [read_image(path) for path in images]
     names = [path.stem for path in images]

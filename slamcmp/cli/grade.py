@@ -11,7 +11,7 @@ import typer
 from slamcmp.errors import MissingDataError, UsageError
 
 if TYPE_CHECKING:
-    from slamcmp.grading.outcome import GradeOutcome
+    from slamcmp.grading.results.outcome import GradeOutcome
 
 SECRET_VARIABLE = "SLAMCMP_GRADING_SECRET"
 
@@ -49,7 +49,7 @@ def grade(
     import json
     from dataclasses import asdict
 
-    from slamcmp.grading.grader import grade as grade_submission
+    from slamcmp.grading.run.grader import grade as grade_submission
 
     outcome = grade_submission(
         Path(assignment),
@@ -60,7 +60,7 @@ def grade(
         accept_weak_sandbox=accept_weak_sandbox,
     )
     if html is not None:
-        from slamcmp.grading.grade_page import write_grade_page
+        from slamcmp.grading.results.page import write_grade_page
 
         write_grade_page(outcome, html, audience="student")
     if as_json:

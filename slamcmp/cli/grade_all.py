@@ -12,7 +12,7 @@ import typer
 from slamcmp.cli.grade import SECRET_VARIABLE, read_secret
 
 if TYPE_CHECKING:
-    from slamcmp.grading.class_run import ClassResult
+    from slamcmp.grading.run.class_run import ClassResult
 
 INTERRUPTED = 130
 BAR_WIDTH = 40
@@ -76,9 +76,9 @@ def grade_all(
 
     Exit code 0: everybody has a grade; 1: some gradings did not come to their end; 130: interrupted.
     """
-    from slamcmp.grading.assignment import load_assignment
-    from slamcmp.grading.class_run import run_class
-    from slamcmp.grading.seeds import check_secret
+    from slamcmp.grading.assignment.description import load_assignment
+    from slamcmp.grading.assignment.seeds import check_secret
+    from slamcmp.grading.run.class_run import run_class
 
     checked = load_assignment(Path(assignment))
     result = run_class(
@@ -112,11 +112,11 @@ def grade_export(
     ] = Reader.student,
 ) -> None:
     """Write a grade as a page, as JUnit XML, or as a platform reads it."""
-    from slamcmp.grading.grade_page import write_grade_page
-    from slamcmp.grading.gradescope import write_gradescope_results
-    from slamcmp.grading.junit import write_junit_xml
-    from slamcmp.grading.outcome import load_outcome
-    from slamcmp.grading.prairielearn import write_prairielearn_results
+    from slamcmp.grading.results.gradescope import write_gradescope_results
+    from slamcmp.grading.results.junit import write_junit_xml
+    from slamcmp.grading.results.outcome import load_outcome
+    from slamcmp.grading.results.page import write_grade_page
+    from slamcmp.grading.results.prairielearn import write_prairielearn_results
 
     found = load_outcome(outcome)
     if to is ExportFormat.html:
@@ -140,9 +140,9 @@ def gradescope_bundle(
     accept_weak_sandbox: AcceptWeak = False,
 ) -> None:
     """Write the zip that Gradescope asks for; it holds the solution and the secret."""
-    from slamcmp.grading.assignment import load_assignment
-    from slamcmp.grading.bundle import write_bundle
-    from slamcmp.grading.seeds import check_secret
+    from slamcmp.grading.assignment.description import load_assignment
+    from slamcmp.grading.assignment.seeds import check_secret
+    from slamcmp.grading.run.bundle import write_bundle
 
     path = write_bundle(
         load_assignment(Path(assignment)).folder,

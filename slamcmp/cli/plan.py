@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from slamcmp.experiment.power import SeedPlan
+    from slamcmp.results.power import SeedPlan
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -42,8 +42,8 @@ def plan(
     as_json: Annotated[bool, typer.Option("--json", help="Print the plan as JSON only.")] = False,
 ) -> None:
     """Say how many seeds a difference between back ends needs, paired and unpaired, from a pilot's seeds."""
-    from slamcmp.experiment.power import plan_seeds
-    from slamcmp.experiment.store import load_results
+    from slamcmp.results.power import plan_seeds
+    from slamcmp.results.store import load_results
 
     found = load_results(_pilot(experiment))
     plans = plan_seeds(found, metric, difference, relative=relative, power=power, alpha=alpha)
@@ -63,8 +63,8 @@ def _pilot(experiment: str) -> Path:
     """The results folder meant: itself, ``results/NAME``, or that of the experiment's file."""
     from slamcmp.cli.results import find_results
     from slamcmp.errors import MissingDataError
-    from slamcmp.experiment.config import load_experiment
-    from slamcmp.experiment.shipped import find_experiment
+    from slamcmp.experiment.config.experiment import load_experiment
+    from slamcmp.experiment.config.shipped import find_experiment
 
     folder = find_results(experiment)
     if not folder.is_dir():

@@ -26,8 +26,8 @@ def plot(
 ) -> None:
     """Draw an experiment's figures into its results folder."""
     from slamcmp.errors import UsageError
-    from slamcmp.experiment.store import load_results
     from slamcmp.report import draw_figures
+    from slamcmp.results.store import load_results
 
     wanted = tuple(part.strip() for part in formats.split(","))
     unknown = [name for name in wanted if name not in ("png", "svg", "pdf")]
@@ -44,8 +44,8 @@ def plot(
 
 def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:
     """Write an experiment's report as one HTML file that needs no network."""
-    from slamcmp.experiment.store import load_results
     from slamcmp.report import write_report
+    from slamcmp.results.store import load_results
 
     found = load_results(find_results(results))
     print(write_report(found, found.folder / "report.html"))

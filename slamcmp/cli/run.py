@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from slamcmp.experiment.plan import Plan
-    from slamcmp.experiment.store import Results
-    from slamcmp.experiment.verdict import PublishedVerdict
+    from slamcmp.results.store import Results
+    from slamcmp.results.verdict import PublishedVerdict
 
 UPRIGHT_ROWS = 6
 """A table with at most so many rows is printed with one line a column, unless told otherwise."""
@@ -51,10 +51,10 @@ def run(
     if executor == "processes" and not dry_run:
         # It loads its modules while this process loads its own.
         warm_up()
-    from slamcmp.experiment.config import load_experiment
+    from slamcmp.experiment.config.experiment import load_experiment
+    from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.experiment.plan import plan_experiment
     from slamcmp.experiment.runner import run_experiment
-    from slamcmp.experiment.shipped import find_experiment
 
     experiment = load_experiment(find_experiment(config))
     seeds = None if seed is None else [seed]
@@ -75,9 +75,9 @@ def run(
         progress=not as_json,
         command=" ".join(["slamcmp", *sys.argv[1:]]),
     )
-    from slamcmp.experiment.verdict import judge
     from slamcmp.report import summary_table, write_report
-    from slamcmp.report.summary import terminal_table
+    from slamcmp.results.summary import terminal_table
+    from slamcmp.results.verdict import judge
 
     summary = summary_table(found) if as_json else terminal_table(found)
     failed = found.trials[found.trials["status"] != "ok"]

@@ -68,7 +68,7 @@ def list_plugins(
 
 def schema() -> None:
     """Print the JSON Schema of experiment files, with every plug-in's parameters, for editors."""
-    from slamcmp.experiment.schema import experiment_schema
+    from slamcmp.experiment.config.schema import experiment_schema
 
     print(json.dumps(experiment_schema(), indent=2))
 
@@ -90,8 +90,8 @@ def _summaries(kind: str) -> list[tuple[str, str]]:
 
 
 def _experiments() -> list[tuple[str, str]]:
-    from slamcmp.experiment.shipped import shipped_experiments
-    from slamcmp.experiment.yaml_source import load_yaml
+    from slamcmp.experiment.config.shipped import shipped_experiments
+    from slamcmp.support.yaml_source import load_yaml
 
     return [
         (name, str(load_yaml(path).data.get("question", ""))) for name, path in shipped_experiments().items()
@@ -104,7 +104,7 @@ def _print_experiment(name: str) -> None:
     Raises:
         MissingDataError: there is no experiment of that name.
     """
-    from slamcmp.experiment.shipped import find_experiment
+    from slamcmp.experiment.config.shipped import find_experiment
 
     path = find_experiment(name)
     print(f"# {path}\n{path.read_text(encoding='utf-8')}", end="")

@@ -27,10 +27,10 @@ def save(
 ) -> None:
     """Make the stream that every back end of a trial gets, and store it."""
     from slamcmp.errors import UsageError
-    from slamcmp.experiment.config import load_experiment
-    from slamcmp.experiment.shipped import find_experiment
-    from slamcmp.experiment.trials import make_trials
-    from slamcmp.experiment.worker import make_stream
+    from slamcmp.experiment.config.experiment import load_experiment
+    from slamcmp.experiment.config.shipped import find_experiment
+    from slamcmp.experiment.config.trials import make_trials
+    from slamcmp.experiment.job.worker import make_stream
     from slamcmp.frontend.stream_file import save_stream
 
     trials = make_trials(load_experiment(find_experiment(config)))

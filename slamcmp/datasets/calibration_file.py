@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import DepthFormat, require_fit
 from slamcmp.datasets.rectification import Lens, Remap, Size, rectify, undistort
@@ -33,8 +32,8 @@ from slamcmp.errors import DataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.registry import did_you_mean
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 AnyCamera = MonoCamera | StereoCamera | RgbdCamera
 
 _COMMON = {"camera", "image_size", "intrinsics", "distortion", "T_body_camera"}

@@ -24,8 +24,7 @@ from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import MonoCamera, StereoCamera
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 ORIGIN = "http://robotics.ethz.ch/~asl-datasets/ijrr_euroc_mav_dataset/ (the ASL format)"
 MAX_DELAY_NS = 2_000_000

@@ -8,11 +8,9 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError, MissingDataError
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 DATA_VARIABLE = "SLAMCMP_DATA"
 """Environment variable that names the folder with downloaded data sets."""

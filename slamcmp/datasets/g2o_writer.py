@@ -13,14 +13,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.graph_reader import SENSOR_COMMENT, TIME_COMMENT
 from slamcmp.errors import DataError
 from slamcmp.geometry import dead_reckoning, quaternion, se2_coordinates
-from slamcmp.types import Frame, IntArray, Landmarks, Log, MeasurementStream
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray, Frame, IntArray, Landmarks, Log, MeasurementStream
 
 
 def write_g2o(

@@ -23,15 +23,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import adjoint, inverse
 from slamcmp.models.sensors import make_sensor
-from slamcmp.protocols import SensorModel
-from slamcmp.types import TANGENT_DIM, Detections, Log, Problem
+from slamcmp.types import TANGENT_DIM, Detections, FloatArray, Log, Problem, SensorModel
 
-FloatArray = NDArray[np.float64]
 SensorName = Literal["range_bearing", "relative_position"]
 
 

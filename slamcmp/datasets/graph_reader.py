@@ -25,13 +25,12 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.graph import Graph, LandmarkEdge, PoseEdge, Prior, SensorName
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import pose, rotation_from_quaternion, se2, wrap
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Noise = Literal["auto", "information", "square_root_information", "covariance"]
 Value = TypeVar("Value")
 

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Gt
-from numpy.typing import NDArray
 
 from slamcmp.datasets.calibration_file import read_calibration
 from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, require_size
@@ -16,8 +15,8 @@ from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.models.camera import RgbdCamera, StereoCamera
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Gt(0)]
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff"}

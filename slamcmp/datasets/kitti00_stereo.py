@@ -31,9 +31,8 @@ from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import FORWARD_CAMERA, StereoCamera
 from slamcmp.registry import sources
-from slamcmp.types import Detections, GroundTruth, Log, Problem
+from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Gt(0)]
 
 PERIOD_S = 0.1

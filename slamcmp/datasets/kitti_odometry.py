@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, first_size, require_fit
 from slamcmp.datasets.folders import (
@@ -28,8 +27,7 @@ from slamcmp.datasets.trajectories import read_kitti_poses
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, StereoCamera
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.cvlibs.net/datasets/kitti/eval_odometry.php (grey images, calibration, poses)"
 PERIOD_S = 0.1

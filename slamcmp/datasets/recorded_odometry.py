@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.geometry import exp, inverse
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 OdometryKind = Literal["corrupted_truth", "constant_position", "recorded"]
 
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt
-from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import RecordedFrames
 from slamcmp.datasets.recorded_odometry import OdometryKind, OdometryNoise, make_odometry
@@ -23,9 +22,8 @@ from slamcmp.errors import DataError, UsageError
 from slamcmp.models.camera import MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.types import Detections, GroundTruth, Log, Problem
+from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 
-FloatArray = NDArray[np.float64]
 NotNegative = Annotated[float, Ge(0)]
 AnyCamera = MonoCamera | StereoCamera | RgbdCamera
 

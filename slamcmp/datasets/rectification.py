@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Size = tuple[int, int]
 
 

@@ -13,7 +13,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import DepthFormat, FrameFiles, RecordedFrames, require_fit, require_size
 from slamcmp.datasets.folders import find_folder, number_table
@@ -23,8 +22,7 @@ from slamcmp.datasets.trajectories import nearest_rotations
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import FORWARD_CAMERA, RgbdCamera
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/"
 SIZE = (640, 480)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.folders import number_table
 from slamcmp.errors import DataError
 from slamcmp.geometry import pose, rotation_from_quaternion, so3_exp, so3_log
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 MAX_GAP_S = 0.2
 """Between two recorded poses; over a longer gap an interpolated pose would be an invention."""

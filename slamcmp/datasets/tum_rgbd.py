@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import DepthFormat, FrameFiles, RecordedFrames, require_size
 from slamcmp.datasets.folders import find_folder, numbers, require_file, text_rows
@@ -23,8 +22,8 @@ from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Calibration = Literal["auto", "freiburg1", "freiburg2", "freiburg3", "ros_default"]
 
 ORIGIN = "https://cvg.cit.tum.de/data/datasets/rgbd-dataset/download"

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.errors import MissingDataError
-from slamcmp.experiment.choice import Choice
-from slamcmp.experiment.plugin_models import bind_parameters
+from slamcmp.experiment.config.component import Choice
 from slamcmp.registry import Plugin
+from slamcmp.support.plugin_models import bind_parameters
 
 PACKAGE = Path(__file__).resolve().parent.parent
 LIBRARIES = ("numpy", "scipy", "gtsam", "opencv-python-headless")
@@ -55,7 +55,7 @@ def run_key(
     recording: Mapping[str, Any] | None = None,
 ) -> str:
     """Of a back end's run, with its scores, on the stream of that key."""
-    runner = Path(__file__).with_name("worker.py")
+    runner = PACKAGE / "experiment" / "job" / "worker.py"
     computing = {
         runner,
         *sorted((PACKAGE / "metrics").glob("*.py")),

@@ -24,7 +24,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.registry import executors
 
 if TYPE_CHECKING:
-    from slamcmp.experiment.worker import Task
+    from slamcmp.experiment.job.worker import Task
 
 THREAD_VARIABLES = (
     "OPENBLAS_NUM_THREADS",
@@ -114,8 +114,8 @@ class Serial:
         self._ended: list[Ended] = []
 
     def start(self, task: Task) -> None:
-        from slamcmp.experiment.run_back_end import describe
-        from slamcmp.experiment.worker import perform
+        from slamcmp.experiment.job.run_back_end import describe
+        from slamcmp.experiment.job.worker import perform
 
         heartbeat = [0.0, 0.0, 0.0]
         fault = ""
@@ -145,7 +145,7 @@ def warm_up() -> None:
     from multiprocessing import forkserver
 
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["slamcmp.experiment.preload"])
+    context.set_forkserver_preload(["slamcmp.experiment.job.preload"])
     with _one_thread_each(), _no_main_module():
         forkserver.ensure_running()
 
@@ -211,8 +211,8 @@ def _work(task: Task, heartbeat: MutableSequence[float]) -> None:
     if parent is not None:
         threading.Thread(target=_follow, args=(parent,), daemon=True).start()
     from slamcmp.errors import StorageError
-    from slamcmp.experiment.memory import limit_growth
-    from slamcmp.experiment.worker import perform
+    from slamcmp.experiment.job.worker import perform
+    from slamcmp.support.memory import limit_growth
 
     code = 0
     with _output_to_log(task):

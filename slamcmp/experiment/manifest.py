@@ -12,9 +12,9 @@ from typing import Any
 
 import slamcmp
 from slamcmp.errors import UsageError
-from slamcmp.experiment.config import Experiment
+from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.content_key import PACKAGE, versions
-from slamcmp.experiment.store import finite
+from slamcmp.results.store import finite
 
 
 def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:

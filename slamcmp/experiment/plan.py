@@ -6,10 +6,10 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from slamcmp.experiment.config import Experiment
-from slamcmp.experiment.run_file import load_truth, run_status
-from slamcmp.experiment.trials import RunJob, StreamJob, Trial, make_trials
-from slamcmp.experiment.worker import run_path, stream_path, truth_path
+from slamcmp.experiment.config.experiment import Experiment
+from slamcmp.experiment.config.trials import RunJob, StreamJob, Trial, make_trials
+from slamcmp.experiment.job.worker import run_path, stream_path, truth_path
+from slamcmp.results.run_file import load_truth, run_status
 
 
 @dataclass

@@ -10,20 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.errors import SlamcmpError
-from slamcmp.experiment.config import Experiment, load_experiment
+from slamcmp.experiment.config.experiment import Experiment, load_experiment
+from slamcmp.experiment.config.trials import Trial
 from slamcmp.experiment.executors import Executor
-from slamcmp.experiment.interruption import interruptions
+from slamcmp.experiment.job.worker import truth_path
 from slamcmp.experiment.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.plan import Plan, plan_experiment
-from slamcmp.experiment.progress import watching
-from slamcmp.experiment.run_file import load_truth
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
-from slamcmp.experiment.store import Results, locked, save_results
 from slamcmp.experiment.tables import gather
-from slamcmp.experiment.trials import Trial
-from slamcmp.experiment.worker import truth_path
 from slamcmp.registry import executors
+from slamcmp.results.run_file import load_truth
+from slamcmp.results.store import Results, locked, save_results
+from slamcmp.support.interruption import interruptions
+from slamcmp.support.progress import watching
 
 
 class Interrupted(SlamcmpError):

@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 
 import slamcmp.errors
-from slamcmp.atomic import storage_error
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError
-from slamcmp.experiment.config import Experiment
+from slamcmp.experiment.config.experiment import Experiment
+from slamcmp.experiment.config.trials import RunJob, StreamJob, Trial
 from slamcmp.experiment.content_key import versions
 from slamcmp.experiment.executors import Ended, Executor
-from slamcmp.experiment.memory import machine_memory_mb
+from slamcmp.experiment.job.worker import Task, scored, stream_path, truth_path
 from slamcmp.experiment.plan import Plan
-from slamcmp.experiment.progress import Watcher
-from slamcmp.experiment.run_file import StoredRun, load_run, load_truth, run_status, save_run
-from slamcmp.experiment.trials import RunJob, StreamJob, Trial
-from slamcmp.experiment.worker import Task, scored, stream_path, truth_path
 from slamcmp.metrics import score_run
+from slamcmp.results.run_file import StoredRun, load_run, load_truth, run_status, save_run
+from slamcmp.support.atomic import storage_error
+from slamcmp.support.memory import machine_memory_mb
+from slamcmp.support.progress import Watcher
 from slamcmp.types import Run, Status, Trajectory
 
 LOOK_EVERY_S = 0.1

@@ -15,13 +15,13 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from slamcmp.experiment.run_file import load_run, load_truth, relabelled
-from slamcmp.experiment.stop_rule import StopRule
+from slamcmp.experiment.config.stop_rule import StopRule
+from slamcmp.experiment.config.trials import Trial
+from slamcmp.experiment.job.worker import run_path, truth_path
 from slamcmp.experiment.tables import trial_truth
-from slamcmp.experiment.trials import Trial
-from slamcmp.experiment.worker import run_path, truth_path
 from slamcmp.metrics import score_run
 from slamcmp.metrics.statistics import Interval, median_interval, paired_interval
+from slamcmp.results.run_file import load_run, load_truth, relabelled
 
 
 class MetricValues:

@@ -12,14 +12,14 @@ from typing import Any
 import pandas as pd
 
 from slamcmp.errors import SlamcmpError
-from slamcmp.experiment.choice import Choice
+from slamcmp.experiment.config.component import Choice
+from slamcmp.experiment.config.trials import RunJob, Trial
 from slamcmp.experiment.inspection import FINDINGS, Inspector
-from slamcmp.experiment.posteriors import kl_series, load_posteriors
-from slamcmp.experiment.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
-from slamcmp.experiment.trials import RunJob, Trial
-from slamcmp.experiment.worker import posteriors_path, run_path, stream_path, truth_path
+from slamcmp.experiment.job.worker import posteriors_path, run_path, stream_path, truth_path
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.metrics.information import KL, last_kl, median_kl
+from slamcmp.results.posteriors import kl_series, load_posteriors
+from slamcmp.results.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.types import GroundTruth
 
 KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")

@@ -11,16 +11,12 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slamcmp.errors import UsageError
 from slamcmp.frontend.landmark_tracks import LandmarkTracks
 from slamcmp.registry import front_ends
-from slamcmp.types import Detections, Frame, FrontEndReport, Log, MeasurementStream
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, Detections, FloatArray, Frame, FrontEndReport, Log, MeasurementStream
 
 STAGES = ("not_finite", "unlabelled", "duplicate", "range", "field_of_view", "mahalanobis", "unconfirmed")
 

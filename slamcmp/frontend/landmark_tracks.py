@@ -18,16 +18,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.geometry import inverse, transform
 from slamcmp.models.sensors import body_point_jacobians
-from slamcmp.protocols import SensorModel
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
-
+from slamcmp.types import BoolArray, FloatArray, IntArray, SensorModel
 
 ITERATIONS = 3
 """Of Gauss-Newton a detection; the third moves a landmark by less than its noise."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from slamcmp.atomic import write_atomically
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
+from slamcmp.support.atomic import write_atomically
 from slamcmp.types import Detections, Frame, FrontEndReport, MeasurementStream, Problem
 
 FORMAT = "slamcmp-stream-1"

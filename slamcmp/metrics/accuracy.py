@@ -11,16 +11,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse, rotation, translation
 from slamcmp.metrics.alignment import Alignment, align_first_pose, align_points
 from slamcmp.metrics.matching import heading_errors, matched_landmarks, matched_poses, rotation_angle
 from slamcmp.registry import metrics
-from slamcmp.types import GroundTruth, Run, Trajectory
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
 _TRAJECTORY = {"needs": frozenset({"truth"}), "scope": "trajectory", "lower_is_better": True}
 _MAP = {"needs": frozenset({"truth", "landmarks"}), "scope": "run", "lower_is_better": True}

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse, pose, rotation, transform, translation
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 
 @dataclass(frozen=True)

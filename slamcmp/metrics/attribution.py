@@ -8,11 +8,9 @@ made this run worse. The parts depend on the order of the changes, which is ther
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 
 def telescoped(scores: FloatArray) -> FloatArray:

@@ -11,7 +11,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slamcmp.geometry import local
@@ -23,9 +22,7 @@ from slamcmp.metrics.matching import (
     translation_part,
 )
 from slamcmp.registry import metrics
-from slamcmp.types import GroundTruth, Run, Trajectory
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
 _KNOWN_EXACTLY = 1e-20
 """A variance [m² or rad²] at or below this says that the quantity is known: rounding is larger."""

@@ -22,8 +22,7 @@ from scipy.special import chdtrc, chdtri
 
 from slamcmp.geometry import inverse, local
 from slamcmp.metrics.consistency import nees_series, quadratic_forms
-from slamcmp.protocols import SensorModel
-from slamcmp.types import FloatArray, GroundTruth, MeasurementStream, Run
+from slamcmp.types import FloatArray, GroundTruth, MeasurementStream, Run, SensorModel
 
 WINDOW = 10
 """Frames over which NIS is summed, and in which a suspect is looked for."""

@@ -9,16 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import heading, local, log, rotation, translation
 from slamcmp.metrics.observability import last_value
 from slamcmp.registry import metrics
-from slamcmp.types import GroundTruth, IntArray, Landmarks, Run
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray, GroundTruth, IntArray, Landmarks, Run
 
 KL = "kl_from_batch"
 """Per-frame series of a run [nat]: its posterior's divergence from the batch solution's at the same frame."""

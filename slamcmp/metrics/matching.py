@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import local, rotation, so3_log, wrap
-from slamcmp.types import GroundTruth, Landmarks, Trajectory
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from slamcmp.types import FloatArray, GroundTruth, IntArray, Landmarks, Trajectory
 
 
 def matched_poses(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArray, FloatArray]:

@@ -13,13 +13,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.metrics.matching import rotation_part, translation_part
 from slamcmp.registry import metrics
-from slamcmp.types import GroundTruth, Run
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray, GroundTruth, Run
 
 RELATIVE_TOLERANCE = 1e-7
 """Singular values of the root below this share of the Jacobians' size count as zero. Rounding leaves 1e-15,

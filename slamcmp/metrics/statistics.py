@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import bdtr, ndtr, ndtri
 
 from slamcmp.errors import UsageError
 from slamcmp.metrics.consistency import average_band
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 Statistic = Callable[..., Any]
 """A numpy reduction such as ``np.mean``, called with ``axis=-1``."""

@@ -24,15 +24,14 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Gt
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slamcmp.errors import DataError, UsageError
 from slamcmp.geometry import inverse, transform
 from slamcmp.models.sensors import body_point, body_point_jacobians
 from slamcmp.registry import sensors
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Positive = Annotated[float, Gt(0)]
 
 FORWARD_CAMERA = np.array(

@@ -19,12 +19,10 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import adjoint, exp, inverse, right_jacobian, se2
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 
 class MotionModel(Protocol):

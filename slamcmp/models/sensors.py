@@ -19,14 +19,11 @@ from collections.abc import Mapping
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import hat, transform
-from slamcmp.protocols import SensorModel
 from slamcmp.registry import sensors
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray, SensorModel
 
 _TURN = 2.0 * np.pi
 

@@ -10,17 +10,17 @@ import numpy as np
 import pandas as pd
 from scipy.special import bdtrc, chdtrc
 
-from slamcmp.experiment.store import Results
 from slamcmp.metrics.consistency import average_band
-from slamcmp.report.certainty import last_frame_nees, runs_by_point
-from slamcmp.report.selection import (
+from slamcmp.results.certainty import last_frame_nees, runs_by_point
+from slamcmp.results.grid import (
     has_values,
     labels,
     point_name,
     reference_name,
     swept_columns,
 )
-from slamcmp.report.summary import ENOUGH_SEEDS
+from slamcmp.results.store import Results
+from slamcmp.results.summary import ENOUGH_SEEDS
 
 HEALTHY_NIS = (0.8, 1.25)
 """NIS per degree of freedom that a reader would pass as healthy."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from slamcmp.experiment.store import Results
-from slamcmp.report.selection import swept_columns
+from slamcmp.results.grid import swept_columns
+from slamcmp.results.store import Results
 
 SHOWN = 40
 """Rows beyond which a reader stops reading; the trials table holds all."""

@@ -13,17 +13,17 @@ import jinja2
 import numpy as np
 import pandas as pd
 
-from slamcmp.atomic import write_atomically
-from slamcmp.experiment.store import Results
-from slamcmp.experiment.verdict import judge
 from slamcmp.report.cautions import cautions
-from slamcmp.report.certainty import certainty_table
 from slamcmp.report.faults import fault_table
-from slamcmp.report.figures import Drawn, each_figure, fault_text, figure_bytes
-from slamcmp.report.numbers import interval_text, number_text
+from slamcmp.report.figures.draw import Drawn, each_figure, fault_text, figure_bytes
 from slamcmp.report.published import order_rows, value_rows
-from slamcmp.report.selection import reference_name, swept_columns, value_text
-from slamcmp.report.summary import paired_table, summary_columns, summary_intervals, summary_table
+from slamcmp.results.certainty import certainty_table
+from slamcmp.results.grid import reference_name, swept_columns, value_text
+from slamcmp.results.numbers import interval_text, number_text
+from slamcmp.results.store import Results
+from slamcmp.results.summary import paired_table, summary_columns, summary_intervals, summary_table
+from slamcmp.results.verdict import judge
+from slamcmp.support.atomic import write_atomically
 
 SVG_LIMIT = 300_000
 """Bytes above which a figure goes in as PNG: a long log's SVG makes the page slow."""

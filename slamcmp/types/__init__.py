@@ -8,9 +8,11 @@ covariance of a pose is in the body tangent, ``T = T_hat exp(xi)``, in the order
 
 from __future__ import annotations
 
-from slamcmp.types.checks import TANGENT_DIM, BoolArray, FloatArray, IntArray, frozen
+from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
+from slamcmp.types.checks import TANGENT_DIM, frozen
 from slamcmp.types.log import CameraFrame, Detections, GroundTruth, Log, Problem
 from slamcmp.types.results import Estimate, Landmarks, Run, Status, Trajectory
+from slamcmp.types.sensor import SensorModel
 from slamcmp.types.stream import Frame, FrontEndReport, MeasurementStream
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "MeasurementStream",
     "Problem",
     "Run",
+    "SensorModel",
     "Status",
     "Trajectory",
     "frozen",

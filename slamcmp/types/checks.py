@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types.arrays import FloatArray
 
 TANGENT_DIM = {2: 3, 3: 6}
 """Dimension of the pose tangent for each dimension of space."""

@@ -9,18 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
-from slamcmp.protocols import SensorModel
-from slamcmp.types.checks import (
-    TANGENT_DIM,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    assign,
-    frozen,
-    require_finite,
-    require_psd,
-    require_unique,
-)
+from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
+from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd, require_unique
+from slamcmp.types.sensor import SensorModel
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slamcmp.types.checks import TANGENT_DIM, BoolArray, FloatArray, IntArray, assign, frozen, require_unique
+from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
+from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_unique
 
 Status = Literal["ok", "diverged", "crashed", "timed_out"]
 

@@ -11,18 +11,10 @@ from functools import cached_property
 import numpy as np
 
 from slamcmp.errors import DataError
-from slamcmp.protocols import SensorModel
-from slamcmp.types.checks import (
-    TANGENT_DIM,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    assign,
-    frozen,
-    require_finite,
-    require_psd,
-)
+from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
+from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd
 from slamcmp.types.log import Detections, Problem
+from slamcmp.types.sensor import SensorModel
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.geometry import wrap
 from slamcmp.models.motion import Unicycle
-
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 FARTHEST = 1.2
 """Of a square's half side: from its middle a twentieth of the area is farther away, of 1.42 nothing."""

@@ -13,17 +13,15 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, MultipleOf
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.types import Log
+from slamcmp.types import FloatArray, Log
 from slamcmp.worlds import paths
 from slamcmp.worlds.settings import NotNegative, Positive, Settings, field_docs
 from slamcmp.worlds.simulate import World, simulate
 
-FloatArray = NDArray[np.float64]
 Builder = Callable[..., World]
 Source = Callable[..., Log]
 

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.geometry import dead_reckoning, exp, inverse
@@ -20,13 +19,12 @@ from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera, Stereo
 from slamcmp.models.motion import Unicycle
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.types import Detections, GroundTruth, Log, Problem
+from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 from slamcmp.worlds import paths
 
 if TYPE_CHECKING:
     from slamcmp.worlds.rendering.images import RenderedImages
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Share = Annotated[float, Interval(ge=0, lt=1)]

@@ -10,18 +10,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.geometry import adjoint_of_inverse, dead_reckoning, exp, se2_coordinates, wrap
 from slamcmp.models.motion import Bicycle, MotionModel, StraightThenTurn, Unicycle, WheelEncoders
 from slamcmp.models.sensors import make_sensor
-from slamcmp.protocols import SensorModel
 from slamcmp.randomness import RandomStreams
-from slamcmp.types import BoolArray, Detections, GroundTruth, Log, Problem
+from slamcmp.types import BoolArray, Detections, FloatArray, GroundTruth, Log, Problem, SensorModel
 from slamcmp.worlds.settings import Settings
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

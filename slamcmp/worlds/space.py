@@ -15,15 +15,13 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval
-from numpy.typing import NDArray
 
 from slamcmp.geometry import adjoint_of_inverse, exp, inverse, pose, so3_exp, so3_log
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.types import Detections, GroundTruth, Log, Problem
+from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Gt(0)]
 Share = Annotated[float, Interval(gt=0, lt=1)]
 

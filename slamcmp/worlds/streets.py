@@ -13,16 +13,14 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval, MultipleOf
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.geometry import dead_reckoning
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.types import Detections, GroundTruth, Log, Problem
+from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Gt(0)]
 
 

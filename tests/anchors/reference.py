@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from slamcmp.experiment.store import Results, load_results
-from slamcmp.experiment.verdict import judge
+from slamcmp.results.store import Results, load_results
+from slamcmp.results.verdict import judge
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "results" / "reference"

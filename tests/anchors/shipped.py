@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.shipped import find_experiment
-from slamcmp.experiment.verdict import PublishedVerdict, judge
+from slamcmp.results.verdict import PublishedVerdict, judge
 from tests.anchors.reference import assert_reproduces, read
 
 

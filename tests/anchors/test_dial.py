@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.shipped import find_experiment
 from tests.anchors.reference import assert_reproduces, read
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.experiment.ensemble import ensemble_value
-from slamcmp.experiment.store import load_results
+from slamcmp.results.ensemble import ensemble_value
+from slamcmp.results.store import load_results
 from tests.anchors.shipped import measured, verdict_of
 
 CONSISTENT = ("ideal EKF", "right-invariant EKF", "OC-EKF", "FEJ-EKF")

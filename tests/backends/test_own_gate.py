@@ -13,8 +13,8 @@ from scipy.special import bdtr, bdtrc, chdtri
 from slamcmp import geometry
 from slamcmp.backends.own_gate import OwnGate, innovation_covariances, predicted_blocks
 from slamcmp.errors import UsageError
-from slamcmp.experiment.conformance import check_back_end
-from slamcmp.experiment.watch import SelfLinearising
+from slamcmp.experiment.conformance.check import check_back_end
+from slamcmp.experiment.job.recorder import SelfLinearising
 from slamcmp.models.sensors import make_sensor
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.registry import back_ends

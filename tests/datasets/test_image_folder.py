@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from slamcmp.datasets.calibration_file import read_calibration
 from slamcmp.datasets.image_folder import image_folder
 from slamcmp.errors import DataError, MissingDataError, UsageError
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.geometry import exp, inverse, quaternion
 from slamcmp.models.camera import FORWARD_CAMERA, StereoCamera
 from slamcmp.registry import sources

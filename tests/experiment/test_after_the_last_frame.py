@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.experiment import worker
+from slamcmp.experiment.job import worker
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.store import Results
+from slamcmp.results.store import Results
 
 Write = Callable[..., Path]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.experiment.conformance import Finding, check_back_end
+from slamcmp.experiment.conformance.check import Finding, check_back_end
 
 README = Path(__file__).parents[2] / "README.md"
 

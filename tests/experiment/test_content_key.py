@@ -7,23 +7,24 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import MissingDataError
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.trials import make_trials
 from slamcmp.experiment.content_key import PACKAGE, code_version, data_digests, import_closure
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.trials import make_trials
 from slamcmp.registry import sources
 
 
 def test_closure_of_a_back_end_holds_its_models_and_no_other_back_end() -> None:
     names = {
-        str(path.relative_to(PACKAGE)) for path in import_closure([PACKAGE / "backends" / "ekf_slam.py"])
+        str(path.relative_to(PACKAGE))
+        for path in import_closure([PACKAGE / "backends" / "filters" / "ekf_slam.py"])
     }
-    assert {"backends/ekf_slam.py", "types/stream.py", "geometry.py", "registry.py"} <= names
+    assert {"backends/filters/ekf_slam.py", "types/stream.py", "geometry.py", "registry.py"} <= names
     assert not any("gtsam" in name or "isam2" in name or name.startswith("report") for name in names)
 
 
 def test_what_reports_is_no_part_of_what_computes() -> None:
-    reached = import_closure([PACKAGE / "experiment" / "worker.py"])
+    reached = import_closure([PACKAGE / "experiment" / "job" / "worker.py"])
     names = {path.name for path in reached}
     assert {"run_back_end.py", "worker.py", "run_file.py"} <= names
     assert not names & {"runner.py", "cli.py", "progress.py", "store.py", "executors.py"}

@@ -11,7 +11,7 @@ import pytest
 from slamcmp.errors import UsageError
 from slamcmp.experiment import manifest
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.store import load_results
+from slamcmp.results.store import load_results
 
 Write = Callable[..., Path]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamcmp.experiment.run_file import StoredRun, load_run, load_truth, save_run
+from slamcmp.experiment.job.worker import make_stream, truth_of_stream, truth_path
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.worker import make_stream, truth_of_stream, truth_path
+from slamcmp.results.run_file import StoredRun, load_run, load_truth, save_run
 from slamcmp.types import MeasurementStream, Run, Trajectory
 
 SOURCE = {"name": "circle", "steps": 60, "landmarks": 20, "outlier_fraction": 0.15}
@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_tables_say_who_gated_and_what_that_did(folder: Path) -> None:
-    from slamcmp.experiment.store import load_results
+    from slamcmp.results.store import load_results
 
     results = load_results(folder)
     trials = results.trials.set_index("label")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.experiment.memory import PeakMemory
-from slamcmp.experiment.run_back_end import first_fault, run_back_end
+from slamcmp.experiment.job.run_back_end import first_fault, run_back_end
 from slamcmp.frontend.labelled import labelled
+from slamcmp.support.memory import PeakMemory
 from slamcmp.types import MeasurementStream, Run
-from tests.experiment import user_plugins
+from tests import user_plugins
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ import pytest
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment import runner
 from slamcmp.experiment.plan import plan_experiment
-from slamcmp.experiment.run_file import load_truth, save_truth
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
-from slamcmp.experiment.store import TABLES, Results, load_results, locked
+from slamcmp.results.run_file import load_truth, save_truth
+from slamcmp.results.store import TABLES, Results, load_results, locked
 from slamcmp.types import GroundTruth
-from tests.experiment.conftest import PLUGINS
+from tests.conftest import PLUGINS
 
 Write = Callable[..., Path]
 MEASURED = ("update", "estimate", "final_s", "peak_memory")
@@ -163,7 +163,7 @@ def test_finished_jobs_are_reused_and_only_changed_ones_run(write_experiment: Wr
 
 
 def test_plan_tells_what_is_left(write_experiment: Write, tmp_path: Path) -> None:
-    from slamcmp.experiment.config import load_experiment
+    from slamcmp.experiment.config.experiment import load_experiment
 
     experiment = load_experiment(write_experiment(back_ends=["DeadReckoning", "Hindsight"], seeds=2))
     plan = plan_experiment(experiment, tmp_path / "r")
@@ -237,7 +237,7 @@ def test_streams_that_differ_are_never_compared(write_experiment: Write, tmp_pat
 
 
 def test_truth_file_round_trip(tmp_path: Path) -> None:
-    from slamcmp.experiment.run_file import StoredTruth
+    from slamcmp.results.run_file import StoredTruth
 
     masks = (np.array([True, False]), np.array([], dtype=bool), np.array([False]))
     truth = GroundTruth(np.arange(3.0), np.stack([np.eye(3)] * 3), np.array([4]), np.ones((1, 2)), masks)
@@ -328,7 +328,7 @@ def test_interrupted_run_keeps_what_is_done(
 def test_workers_have_one_blas_thread_and_no_traces_of_the_caller(tmp_path: Path) -> None:
     (tmp_path / "probe.py").write_text(
         "import json, os, sys\n"
-        "from tests.experiment.user_plugins import DeadReckoning\n"
+        "from tests.user_plugins import DeadReckoning\n"
         "class Probe(DeadReckoning):\n"
         "    def misbehave(self):\n"
         "        names = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS')\n"

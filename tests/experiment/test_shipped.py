@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import MissingDataError
-from slamcmp.experiment.config import load_experiment
-from slamcmp.experiment.shipped import find_experiment, shipped_experiments
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.shipped import find_experiment, shipped_experiments
 
 FOLDER = Path(__file__).parents[2] / "experiments"
 

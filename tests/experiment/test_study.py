@@ -13,12 +13,12 @@ import pandas as pd
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.choice import Choice
-from slamcmp.experiment.config import Experiment, load_experiment
-from slamcmp.experiment.posteriors import load_posteriors
+from slamcmp.experiment.config.component import Choice
+from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.store import Results, load_results
 from slamcmp.report.cautions import cautions
+from slamcmp.results.posteriors import load_posteriors
+from slamcmp.results.store import Results, load_results
 
 SHIPPED = Path(__file__).parents[2] / "experiments" / "observability.yaml"
 NULLITY = {

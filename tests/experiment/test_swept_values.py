@@ -12,8 +12,8 @@ import pytest
 
 from slamcmp.errors import DataError
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.store import load_results, save_results
-from slamcmp.report.figures import each_figure
+from slamcmp.report.figures.draw import each_figure
+from slamcmp.results.store import load_results, save_results
 
 Write = Callable[..., Path]
 PATH = "back_ends.Anything.value"

@@ -13,16 +13,16 @@ import pytest
 
 from slamcmp.errors import UsageError
 from slamcmp.experiment import runner
-from slamcmp.experiment.config import load_experiment
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.schema import experiment_schema
+from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.experiment.plan import plan_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
-from slamcmp.experiment.schema import experiment_schema
-from slamcmp.experiment.stop_rule import StopRule
 from slamcmp.experiment.stop_search import describe_stop, precisions
-from slamcmp.experiment.store import load_results
 from slamcmp.metrics.statistics import median_interval
-from tests.experiment.conftest import PLUGINS
+from slamcmp.results.store import load_results
+from tests.conftest import PLUGINS
 
 Write = Callable[..., Path]
 

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox.errors import SandboxError, StudentError
 from slamcmp.grading.sandbox.kernel import machine
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.grading.sandbox.session import SandboxSession
 from slamcmp.grading.sandbox.syscalls import DENIED, FILTERED, number
-from slamcmp.grading.submission import Submission
 from tests.grading.catalogue import FOLDER
 
 EVERY_LAYER = ("private root", "own uid", "limits", "Landlock", "seccomp", "bubblewrap")

@@ -12,8 +12,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from slamcmp.grading.hand_in import SubmissionError
-from slamcmp.grading.outcome import GradeOutcome, TestOutcome, TestStatus, Visibility, save_outcome
+from slamcmp.grading.hand_in.hand_in import SubmissionError
+from slamcmp.grading.hand_in.submission import Submission, load_submission
+from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, Visibility, save_outcome
 from slamcmp.grading.sandbox.errors import (
     SandboxError,
     SandboxUnavailable,
@@ -22,7 +23,6 @@ from slamcmp.grading.sandbox.errors import (
 )
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.submission import Submission, load_submission
 
 POLICY = Policy(packages=("numpy",), memory_bytes=512 << 20, load_s=2.0, request_s=2.0, output_bytes=1 << 12)
 TESTS: tuple[tuple[str, str, float, float, Visibility], ...] = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from slamcmp.grading.outcome import GradeOutcome, Plot, Series, TestOutcome
+from slamcmp.grading.results.outcome import GradeOutcome, Plot, Series, TestOutcome
 
 HOSTILE = "<script>alert(\"x\")</script> ]]> & \x1b[2J \x00 \u202e =cmd|' /C calc'!A0"
 STAFF = "STAFF-DETAIL"

@@ -12,11 +12,11 @@ from types import ModuleType
 
 import pytest
 
-from slamcmp.backends.sliding_window import SlidingWindow
-from slamcmp.experiment.config_errors import ConfigError
-from slamcmp.grading.assignment import SHIPPED, find_assignment, load_assignment, load_source
-from slamcmp.grading.grader import Grading
-from slamcmp.grading.publish import InProcess, check_publishable
+from slamcmp.backends.window.sliding_window import SlidingWindow
+from slamcmp.grading.assignment.description import SHIPPED, find_assignment, load_assignment, load_source
+from slamcmp.grading.assignment.publish import InProcess, check_publishable
+from slamcmp.grading.run.grader import Grading
+from slamcmp.support.config_errors import ConfigError
 
 SECRET = b"a secret of the tests"
 NAMES = sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml"))

@@ -108,7 +108,7 @@ def test_no_process_outlives_a_killed_grader(tmp_path: Path, staging_area: Path)
     script = f"""
 import sys
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.submission import Submission
+from slamcmp.grading.hand_in.submission import Submission
 source = b"def loop():\\n    while True:\\n        pass\\n"
 session = SandboxSession(Submission("s", "file", {{"s.py": source}}, "s.py"), accept_weak=True)
 open({str(tmp_path / "pid")!r}, "w").write(str(session._worker.pid))

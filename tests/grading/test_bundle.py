@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.grading.autograder import (
+from slamcmp.grading.run.autograder import (
     Layout,
     gradescope_layout,
     prairielearn_layout,
@@ -30,7 +30,7 @@ from slamcmp.grading.autograder import (
     self_test,
     student_of,
 )
-from slamcmp.grading.bundle import constraints, requirements, write_bundle
+from slamcmp.grading.run.bundle import constraints, requirements, write_bundle
 from slamcmp.grading.sandbox.readable import world_reachable
 from tests.grading import toy_assignment
 from tests.grading.toy_assignment import SOLUTION
@@ -186,7 +186,7 @@ def test_the_self_test_fails_where_the_solution_does_not_get_all_points(
 ) -> None:
     solution = autograder / "source/assignments/toy/solution/solution.py"
     # Right where the expected values are computed, wrong in the sandbox.
-    where = "x / 2.0 if 'slamcmp.grading.grader' in sys.modules else 0.0"
+    where = "x / 2.0 if 'slamcmp.grading.run.grader' in sys.modules else 0.0"
     solution.write_text(f"{solution.read_text()}\nimport sys\ndef half(x): return {where}\n")
     monkeypatch.setenv("AUTOGRADER_ROOT", str(autograder))
     with pytest.raises(DataError, match="self-test failed: the solution got 20 of 30 points"):
@@ -236,7 +236,7 @@ def test_a_platform_that_ends_the_grader_finds_what_was_scored(autograder: Path,
         left = [
             words
             for entry in Path("/proc").glob("[0-9]*")
-            if (words := _words(entry)) and b"slamcmp.grading.grade_process" in words and mark in words
+            if (words := _words(entry)) and b"slamcmp.grading.run.grade_process" in words and mark in words
         ]
         if not left:
             break
@@ -314,14 +314,14 @@ def test_equal_content_makes_an_equal_bundle_and_nobody_else_reads_it(tmp_path: 
     assert again.stat().st_mode & 0o077 == 0
     names = set(zipfile.ZipFile(again).namelist())
     assert {"setup.sh", "run_autograder", "constraints.txt", "requirements.txt", "secret"} <= names
-    assert "package/slamcmp/grading/templates/grade.html.j2" in names
+    assert "package/slamcmp/grading/results/templates/grade.html.j2" in names
     assert not [name for name in names if "pycache" in name]
 
 
 def test_without_a_checkout_the_installed_versions_are_pinned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("slamcmp.grading.bundle.PACKAGE", tmp_path / "slamcmp")
+    monkeypatch.setattr("slamcmp.grading.run.bundle.PACKAGE", tmp_path / "slamcmp")
     lines = constraints().splitlines()
     assert f"numpy=={np.__version__}" in lines
     assert not [line for line in lines if line.startswith("slamcmp==")]

@@ -18,11 +18,11 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import MissingDataError, UsageError
-from slamcmp.grading.class_folder import find_submissions
-from slamcmp.grading.class_run import ClassResult, run_class
-from slamcmp.grading.class_summary import summarise
-from slamcmp.grading.gradebook import GradebookRow
-from slamcmp.grading.outcome import load_outcome
+from slamcmp.grading.hand_in.class_folder import find_submissions
+from slamcmp.grading.results.class_summary import summarise
+from slamcmp.grading.results.gradebook import GradebookRow
+from slamcmp.grading.results.outcome import load_outcome
+from slamcmp.grading.run.class_run import ClassResult, run_class
 from tests.grading.outcomes import example
 from tests.grading.school import HONEST, WRONG, build
 
@@ -84,7 +84,7 @@ def _processes_of(pid: int, place: Path) -> list[str]:
             words = (entry / "cmdline").read_bytes().split(b"\0")
         except OSError:
             continue
-        graders = b"slamcmp.grading.grade_process" in words and str(pid).encode() in words
+        graders = b"slamcmp.grading.run.grade_process" in words and str(pid).encode() in words
         if graders or any(str(place / "tmp").encode() in word for word in words):
             found.append(f"{entry.name}: {b' '.join(words).decode(errors='replace')}")
     return found
@@ -92,7 +92,7 @@ def _processes_of(pid: int, place: Path) -> list[str]:
 
 def _start(place: Path) -> subprocess.Popen[bytes]:
     code = (
-        "import sys; from pathlib import Path; from slamcmp.grading.class_run import run_class; "
+        "import sys; from pathlib import Path; from slamcmp.grading.run.class_run import run_class; "
         f"run_class(Path({str(place / 'assignment')!r}), Path({str(place / 'class')!r}), "
         f"Path({str(place / 'out')!r}), secret=b'secret', jobs=2, accept_weak_sandbox=True, pages=False, "
         f"grader={GRADER!r})"

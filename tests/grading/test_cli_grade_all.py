@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from slamcmp.cli import app
-from slamcmp.grading.outcome import save_outcome
+from slamcmp.grading.results.outcome import save_outcome
 from tests.grading import toy_assignment
 from tests.grading.outcomes import SECRETS, example
 from tests.grading.toy_assignment import SOLUTION

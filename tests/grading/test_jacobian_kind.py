@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from slamcmp.geometry import adjoint, exp, inverse, log, right_jacobian, se2
-from slamcmp.grading.implementations import TrustedImplementation
+from slamcmp.grading.assignment.implementations import TrustedImplementation
 from slamcmp.grading.kinds.jacobian import jacobian
+from slamcmp.grading.run.trial import Case, Trial, Verdict
 from slamcmp.grading.sandbox.errors import StudentError
-from slamcmp.grading.trial import Case, Trial, Verdict
 
 T_0, T_1 = se2(1.0, 2.0, 0.3), se2(1.9, 2.3, 0.5)
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import MissingDataError, UsageError
-from slamcmp.grading.assignment import SHIPPED, find_assignment, load_assignment
-from slamcmp.grading.public_tests import run_public_tests
+from slamcmp.grading.assignment.description import SHIPPED, find_assignment, load_assignment
+from slamcmp.grading.assignment.public_tests import run_public_tests
 
 NAMES = sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml"))
 

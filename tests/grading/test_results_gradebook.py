@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slamcmp.grading.gradebook import GradebookRow, gradebook_csv, safe_cell, write_gradebook
+from slamcmp.grading.results.gradebook import GradebookRow, gradebook_csv, safe_cell, write_gradebook
 from tests.grading.outcomes import example
 
 

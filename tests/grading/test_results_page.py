@@ -11,10 +11,10 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from slamcmp.grading.grade_images import data_uri
-from slamcmp.grading.grade_page import grade_page
-from slamcmp.grading.outcome import Plot, Series
-from slamcmp.report.grade_figures import Curve, outside_text, plot_curves
+from slamcmp.grading.results.images import data_uri
+from slamcmp.grading.results.outcome import Plot, Series
+from slamcmp.grading.results.page import grade_page
+from slamcmp.report.figures.grades import Curve, outside_text, plot_curves
 from tests.grading.outcomes import HOSTILE, SECRETS, STAFF, example, plot
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.grading.gradescope import gradescope_results, write_gradescope_results
-from slamcmp.grading.junit import junit_xml, write_junit_xml
-from slamcmp.grading.outcome import GradeOutcome, TestOutcome
-from slamcmp.grading.prairielearn import (
+from slamcmp.grading.results.gradescope import gradescope_results, write_gradescope_results
+from slamcmp.grading.results.junit import junit_xml, write_junit_xml
+from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome
+from slamcmp.grading.results.prairielearn import (
     BYTES_MAX,
     encoded,
     prairielearn_results,

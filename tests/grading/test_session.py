@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox import kernel
 from slamcmp.grading.sandbox.errors import (
     ProtocolViolation,
@@ -26,7 +27,6 @@ from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.grading.sandbox.proofs import MEANING
 from slamcmp.grading.sandbox.readable import world_reachable
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.submission import Submission
 from tests.toy_stream import toy_stream
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
@@ -415,7 +415,7 @@ def test_another_user_gets_read_protection_too(tmp_path: Path) -> None:
         pytest.skip("the interpreter, numpy or slamcmp lie where another user may not read")
     script = """
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.submission import Submission
+from slamcmp.grading.hand_in.submission import Submission
 with SandboxSession(Submission("s", "file", {"s.py": b"def f(x): return x"}, "s.py")) as session:
     assert session.call("f", 3) == 3
     print(session.level, *(name for name, outcome in session.proofs.items() if outcome != "proved"))

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.grading.hand_in import FILE_BYTES, FILES_MAX
-from slamcmp.grading.submission import SubmissionError, load_submission
+from slamcmp.grading.hand_in.hand_in import FILE_BYTES, FILES_MAX
+from slamcmp.grading.hand_in.submission import SubmissionError, load_submission
 
 GOOD = "def double(x):\n    return 2 * x\n"
 

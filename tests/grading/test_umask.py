@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.submission import Submission
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
 

@@ -16,7 +16,7 @@ tests:
   - {name: SECRET-SQUARE, kind: unit, points: 10, function: square, cases: numbers, visibility: hidden}
 """
 _CASES = """
-from slamcmp.grading.trial import Case
+from slamcmp.grading.run.trial import Case
 
 
 def numbers(reference, generator):

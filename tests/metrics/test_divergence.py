@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from slamcmp.backends.dead_reckoning import DeadReckoning
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.experiment.run_back_end import run_back_end
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.geometry import se2
 from slamcmp.metrics.divergence import (
     FALSE_ALARM,

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from slamcmp import geometry
-from slamcmp.backends.ekf_charts import Chart
-from slamcmp.backends.ekf_variants import (
+from slamcmp.backends.filters.charts import Chart
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
+from slamcmp.backends.filters.linearisation import LatestEstimate
+from slamcmp.backends.filters.variants import (
     FirstEstimatesEkf,
     IdealEkf,
     ObservabilityConstrainedEkf,
     RightInvariantEkf,
     WorldEkf,
 )
-from slamcmp.backends.error_state_ekf import ErrorStateEkf
-from slamcmp.backends.linearisation import LatestEstimate
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import Frame, GroundTruth, MeasurementStream, Problem
 from tests.toy_stream import toy_stream

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamcmp.backends.filter_history import Correction, Growth, History, Remap, Step
+from slamcmp.backends.filters.rts_smoother import Correction, Growth, History, Remap, Step
 
 
 def observability_matrix(history: History) -> np.ndarray:

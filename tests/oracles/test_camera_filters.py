@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
-from slamcmp.backends.ekf_charts import RightInvariantChart
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.ekf_variants import (
+from slamcmp.backends.filters.charts import RightInvariantChart
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.iterated import IteratedEkf
+from slamcmp.backends.filters.robocentric import RobocentricEkf
+from slamcmp.backends.filters.ukf import UkfSlam
+from slamcmp.backends.filters.variants import (
     FirstEstimatesEkf,
     IdealEkf,
     ObservabilityConstrainedEkf,
     RightInvariantEkf,
     WorldEkf,
 )
-from slamcmp.backends.gtsam_batch import Batch
-from slamcmp.backends.iterated_ekf import IteratedEkf
-from slamcmp.backends.robocentric_ekf import RobocentricEkf
-from slamcmp.backends.ukf_slam import UkfSlam
+from slamcmp.backends.gtsam_smoothers.batch import Batch
 from slamcmp.errors import DataError, DivergedError
 from tests.camera_stream import Kind, camera_stream
 from tests.oracles.filters import CONSISTENT, BodyEkf, maker, run

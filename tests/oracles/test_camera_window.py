@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.ekf_variants import FirstEstimatesEkf
-from slamcmp.backends.gtsam_batch import Batch
-from slamcmp.backends.sliding_window import SlidingWindow
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.variants import FirstEstimatesEkf
+from slamcmp.backends.gtsam_smoothers.batch import Batch
+from slamcmp.backends.window.sliding_window import SlidingWindow
 from tests.backends.graph_streams import run
 from tests.camera_stream import Kind, camera_stream, without_returns
 from tests.oracles.test_dial_identities import assert_ekf_all_along, assert_same_posterior

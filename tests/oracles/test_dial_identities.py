@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.ekf_variants import FirstEstimatesEkf
-from slamcmp.backends.gtsam_factors import pose_key
-from slamcmp.backends.gtsam_graph import GraphBuilder, poses_in
-from slamcmp.backends.iterated_ekf import IteratedEkf
-from slamcmp.backends.sliding_window import SlidingWindow
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.iterated import IteratedEkf
+from slamcmp.backends.filters.variants import FirstEstimatesEkf
+from slamcmp.backends.gtsam_smoothers.factors import pose_key
+from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, poses_in
+from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.types import TANGENT_DIM, Frame, MeasurementStream, Problem
 from tests.backends.graph_streams import spatial_stream
 from tests.toy_stream import toy_stream

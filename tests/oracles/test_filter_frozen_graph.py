@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamcmp.backends.ekf_variants import FirstEstimatesEkf, ObservabilityConstrainedEkf, WorldEkf
-from slamcmp.backends.error_state_ekf import ErrorStateEkf
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
+from slamcmp.backends.filters.variants import FirstEstimatesEkf, ObservabilityConstrainedEkf, WorldEkf
 from slamcmp.types import MeasurementStream
 from tests.oracles.filters import BodyEkf, world_of
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.ekf_variants import FirstEstimatesEkf, RightInvariantEkf, WorldEkf
-from slamcmp.backends.iterated_ekf import IteratedEkf
-from slamcmp.backends.kalman_filter import KnownHeadingKalmanFilter
-from slamcmp.backends.robocentric_ekf import RobocentricEkf
-from slamcmp.backends.ukf_slam import UkfSlam
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.iterated import IteratedEkf
+from slamcmp.backends.filters.kalman import KnownHeadingKalmanFilter
+from slamcmp.backends.filters.robocentric import RobocentricEkf
+from slamcmp.backends.filters.ukf import UkfSlam
+from slamcmp.backends.filters.variants import FirstEstimatesEkf, RightInvariantEkf, WorldEkf
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import Frame, GroundTruth, MeasurementStream, Problem
 from tests.oracles.filters import CONSISTENT, PUBLISHED, BodyEkf, maker, run, world_of

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.iterated_ekf import IteratedEkf
-from slamcmp.backends.robocentric_ekf import RobocentricEkf
-from slamcmp.backends.sliding_window import SlidingWindow
-from slamcmp.backends.ukf_slam import UkfSlam
-from slamcmp.backends.unanchored import UnanchoredFilter
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.iterated import IteratedEkf
+from slamcmp.backends.filters.robocentric import RobocentricEkf
+from slamcmp.backends.filters.ukf import UkfSlam
+from slamcmp.backends.filters.unanchored import UnanchoredFilter
+from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.metrics.observability import nullity, unanchored_information
 from tests.oracles.filters import CONSISTENT, BodyEkf, maker, run, world_of
 from tests.oracles.observability import textbook_nullity

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from slamcmp.backends.ekf_slam import EkfSlam
-from slamcmp.backends.gtsam_batch import Batch
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.gtsam_smoothers.batch import Batch
 from tests.oracles.window_graph import WindowOneGraph, assert_same_all_along
 from tests.toy_stream import toy_stream
 

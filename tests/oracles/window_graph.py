@@ -10,11 +10,10 @@ from typing import Literal
 import gtsam
 import numpy as np
 
-from slamcmp.backends.ekf_slam import EkfSlam
+from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.models.camera import Camera, MonoCamera
 from slamcmp.models.sensors import entry_sensor
-from slamcmp.protocols import SensorModel
-from slamcmp.types import Frame, MeasurementStream, Problem
+from slamcmp.types import Frame, MeasurementStream, Problem, SensorModel
 
 X, L = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
 

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.experiment.store import Results
 from slamcmp.geometry import exp, se2
 from slamcmp.metrics import frame_table, landmark_table, reference_truth, score_run
+from slamcmp.results.store import Results
 from slamcmp.types import GroundTruth, Landmarks, Run, Trajectory
 
 FRAMES = 120

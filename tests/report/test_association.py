@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.report.association_figure import gated_labels, plot_association, share_kept
 from slamcmp.report.cautions import cautions
+from slamcmp.report.figures.association import gated_labels, plot_association, share_kept
 from slamcmp.report.html import report_html
-from slamcmp.report.selection import NotDrawable
-from slamcmp.report.summary import paired_table, summary_table
+from slamcmp.results.grid import NotDrawable
+from slamcmp.results.summary import paired_table, summary_table
 
 
 def test_share_kept_is_that_of_the_masks(gated: Any) -> None:

@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.experiment.store import Results
 from slamcmp.metrics.consistency import average_band
-from slamcmp.report import style
-from slamcmp.report.attribution_figure import attribution_table, find_stages, plot_attribution, stage_scores
-from slamcmp.report.dial_figure import arrangement, plot_dial, reach
-from slamcmp.report.figures import each_figure
-from slamcmp.report.numbers import number_text
-from slamcmp.report.selection import NotDrawable
+from slamcmp.report.figures import style
+from slamcmp.report.figures.attribution import attribution_table, find_stages, plot_attribution, stage_scores
+from slamcmp.report.figures.dial import arrangement, plot_dial, reach
+from slamcmp.report.figures.draw import each_figure
+from slamcmp.results.grid import NotDrawable
+from slamcmp.results.numbers import number_text
+from slamcmp.results.store import Results
 
 BACK_ENDS = [
     {"name": "ekf_slam", "label": "EKF"},

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from slamcmp.cli import app
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
-from slamcmp.report.front_end_figures import draw_front_end, front_end_tables
+from slamcmp.report.figures.front_end import draw_front_end, front_end_tables
 from tests.frontend.photographs import FOLDER, photograph
 
 

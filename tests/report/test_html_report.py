@@ -14,9 +14,9 @@ from scipy.stats import binomtest
 
 from slamcmp.report import summary_table, write_report
 from slamcmp.report.cautions import cautions, distance_in_sigmas
-from slamcmp.report.certainty import certainty_table, last_frame_nees, worst_run
 from slamcmp.report.html import number_text, report_html
-from slamcmp.report.summary import paired_table, terminal_table
+from slamcmp.results.certainty import certainty_table, last_frame_nees, worst_run
+from slamcmp.results.summary import paired_table, terminal_table
 
 
 class Page(HTMLParser):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slamcmp.grading.trial import Case, Track
+from slamcmp.grading.run.trial import Case, Track
 
 DT, WHEELBASE = 0.2, 2.5
 PROCESS_NOISE = np.diag([0.03, 0.03, 0.01]) ** 2

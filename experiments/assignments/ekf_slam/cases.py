@@ -3,7 +3,7 @@
 import numpy as np
 
 from slamcmp.geometry import exp, inverse, local, se2, transform
-from slamcmp.grading.trial import Case, Track
+from slamcmp.grading.run.trial import Case, Track
 from slamcmp.models.sensors import RangeBearing
 from slamcmp.types import Frame, Problem
 

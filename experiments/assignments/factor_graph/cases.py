@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from slamcmp.backends.ekf_slam import EkfSlam
+from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.geometry import adjoint, exp, inverse, local, se2, transform
-from slamcmp.grading.trial import Case, Track
+from slamcmp.grading.run.trial import Case, Track
 from slamcmp.models.sensors import RangeBearing
 from slamcmp.types import Frame, Problem
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from slamcmp.geometry import exp, hat, inverse, transform
+from slamcmp.grading.results.scoring import as_array
+from slamcmp.grading.run.trial import Case, Track
 from slamcmp.grading.sandbox.errors import StudentError
-from slamcmp.grading.scoring import as_array
-from slamcmp.grading.trial import Case, Track
 
 CAMERA = np.array([[400.0, 0.0, 320.0], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
 WRONG_PX = 20.0

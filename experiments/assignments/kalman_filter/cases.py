@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slamcmp.grading.trial import Case, Track
+from slamcmp.grading.run.trial import Case, Track
 
 DT = 0.5
 

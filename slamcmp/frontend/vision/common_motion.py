@@ -19,9 +19,8 @@ w         weight of each match by Cauchy's function, (m,)
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from slamcmp.types import FloatArray
 
 _ROUNDS = 6
 

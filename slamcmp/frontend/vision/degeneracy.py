@@ -15,13 +15,10 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
 from slamcmp.frontend.vision import fundamental
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, FloatArray
 
 Method = Literal["magsac", "ransac", "least_squares"]
 

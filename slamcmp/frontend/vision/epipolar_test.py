@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.frontend.vision.degeneracy import Geometry, verify_matches
 from slamcmp.frontend.vision.track_table import VIEWS, TrackTable
 from slamcmp.frontend.vision.triangulation import PoseHistory
 from slamcmp.models.camera import Camera
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from slamcmp.types import BoolArray, FloatArray, IntArray
 
 _PARALLAX_PX = 12.0
 """Between the two images, in the median."""

@@ -12,10 +12,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, FloatArray
 
 SAMPLE = 8
 """Matches that determine F in the linear algorithm."""

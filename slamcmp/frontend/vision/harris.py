@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from slamcmp.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,7 @@ from slamcmp.frontend.vision.harris import Corners, harris_corners
 from slamcmp.frontend.vision.matching import Matches, match_descriptors
 from slamcmp.frontend.vision.orb import BORDER_PX, describe
 from slamcmp.frontend.vision.suppression import suppress_brown, suppress_cells
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, FloatArray
 
 Suppression = Literal["cells", "brown", "none"]
 

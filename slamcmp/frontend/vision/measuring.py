@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.stereo_matching import match_rows
 from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
-from slamcmp.types import CameraFrame
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, CameraFrame, FloatArray
 
 VIRTUAL_BASELINE_M = 0.075
 """Of an RGB-D camera's pair: that of a Kinect; any would do."""

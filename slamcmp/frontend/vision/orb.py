@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from slamcmp.types import FloatArray, IntArray
 
 RADIUS_PX = 15
 """Of the disc whose centroid gives the angle."""

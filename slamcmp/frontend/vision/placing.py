@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slamcmp.frontend.vision.track_table import TrackTable
 from slamcmp.frontend.vision.triangulation import PoseHistory, parallax_deg, triangulate
 from slamcmp.models.camera import MonoCamera
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from slamcmp.types import FloatArray, IntArray
 
 _VIEWS_MIN = 3
 """Two views fit all but one of their four numbers by themselves: hardly anything tests the point."""

@@ -9,16 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.frontend.vision.track_table import TrackTable
 from slamcmp.frontend.vision.triangulation import PoseHistory
 from slamcmp.geometry import inverse, transform
 from slamcmp.models.camera import MonoCamera
+from slamcmp.types import BoolArray, FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 Size = tuple[int, int]
 
 _STEPS_AWAY = 4.0

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from slamcmp.frontend.vision.image_pair import Features
 from slamcmp.frontend.vision.matching import match_descriptors
+from slamcmp.types import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 GrayImage = NDArray[np.uint8]
 
 ROW_TOLERANCE_PX = 1.5

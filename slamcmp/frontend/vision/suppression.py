@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from slamcmp.types import FloatArray, IntArray
 
 _CLEARANCE = 0.7
 """Of a cell's side: winners of neighbouring cells that are closer than this do not both stay."""

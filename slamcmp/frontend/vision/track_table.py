@@ -21,10 +21,7 @@ from numpy.typing import NDArray
 from slamcmp.geometry import exp, inverse, transform
 from slamcmp.models.camera import Camera, StereoCamera
 from slamcmp.models.sensors import body_point_jacobians
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from slamcmp.types import BoolArray, FloatArray, IntArray
 
 VIEWS = 8
 """Sightings that a track remembers: its first one and the latest."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from slamcmp.errors import UsageError
@@ -29,11 +28,7 @@ from slamcmp.frontend.vision.wrong_matches import MatchRecord, spoil_matches
 from slamcmp.image_files import image_problem
 from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.models.motion import compose_increments
-from slamcmp.types import CameraFrame, Detections
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from slamcmp.types import BoolArray, CameraFrame, Detections, FloatArray, IntArray
 
 STAGES = ("unmatched", "epipolar", "mahalanobis", "no_depth", "no_parallax", "unconfirmed")
 """Why a feature is no measurement: no track claims it, a test, no depth, or a track that is no landmark

@@ -21,14 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slamcmp.geometry import adjoint, hat, inverse
 from slamcmp.models.camera import Camera
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from slamcmp.types import BoolArray, FloatArray, IntArray
 
 _STEPS = 4
 _RIDGE = 1e-12

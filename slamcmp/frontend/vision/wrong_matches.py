@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from slamcmp.types import BoolArray, FloatArray, IntArray
 
 CORRECT_PX = 3.0
 """Largest distance between a match and the truth: what is farther off is another corner."""

@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.grading.outcome import Plot, Series
-from slamcmp.grading.scoring import log_linear
-from slamcmp.grading.trial import FloatArray, Track, Trial, Verdict
+from slamcmp.grading.results.outcome import Plot, Series
+from slamcmp.grading.results.scoring import log_linear
+from slamcmp.grading.run.trial import Track, Trial, Verdict
 from slamcmp.registry import test_kinds
+from slamcmp.types import FloatArray
 
 
 @test_kinds.register("accuracy")

@@ -10,8 +10,8 @@ from annotated_types import Ge, Gt
 from scipy.special import chdtri
 
 from slamcmp.errors import UsageError
-from slamcmp.grading.scoring import log_linear
-from slamcmp.grading.trial import Track, Trial, Verdict
+from slamcmp.grading.results.scoring import log_linear
+from slamcmp.grading.run.trial import Track, Trial, Verdict
 from slamcmp.registry import test_kinds
 
 SAME_AS_REFERENCE = 1.02

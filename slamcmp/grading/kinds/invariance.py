@@ -7,8 +7,8 @@ from typing import Annotated
 
 from annotated_types import Gt
 
-from slamcmp.grading.scoring import log_linear
-from slamcmp.grading.trial import Trial, Verdict
+from slamcmp.grading.results.scoring import log_linear
+from slamcmp.grading.run.trial import Trial, Verdict
 from slamcmp.registry import test_kinds
 
 

@@ -7,10 +7,11 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt
 
+from slamcmp.grading.results.scoring import as_array, log_linear
+from slamcmp.grading.run.trial import Case, Trial, Verdict
 from slamcmp.grading.sandbox.errors import StudentError
-from slamcmp.grading.scoring import FloatArray, as_array, log_linear
-from slamcmp.grading.trial import Case, Trial, Verdict
 from slamcmp.registry import test_kinds
+from slamcmp.types import FloatArray
 
 
 @test_kinds.register("jacobian")

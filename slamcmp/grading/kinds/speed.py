@@ -8,8 +8,8 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.grading.scoring import log_linear
-from slamcmp.grading.trial import Trial, Verdict
+from slamcmp.grading.results.scoring import log_linear
+from slamcmp.grading.run.trial import Trial, Verdict
 from slamcmp.registry import test_kinds
 
 

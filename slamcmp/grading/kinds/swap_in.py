@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from slamcmp.grading.results.scoring import log_linear, relative_error
+from slamcmp.grading.run.trial import Implementation, Trial, Verdict
 from slamcmp.grading.sandbox.answers import Answer
 from slamcmp.grading.sandbox.errors import StudentError
-from slamcmp.grading.scoring import log_linear, relative_error
-from slamcmp.grading.trial import Implementation, Trial, Verdict
 from slamcmp.registry import test_kinds
 from slamcmp.types import Frame, Problem
 

@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Gt
 
+from slamcmp.grading.results.scoring import as_array, leaves, log_linear, relative_error
+from slamcmp.grading.run.trial import Case, Trial, Verdict
 from slamcmp.grading.sandbox.errors import StudentError
-from slamcmp.grading.scoring import as_array, leaves, log_linear, relative_error
-from slamcmp.grading.trial import Case, Trial, Verdict
 from slamcmp.registry import test_kinds
 
 

@@ -19,6 +19,7 @@ from dataclasses import asdict, replace
 from types import TracebackType
 from typing import Any, NewType, Self
 
+from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox import identity
 from slamcmp.grading.sandbox.answers import Answer, printable, read_answer, student_error
 from slamcmp.grading.sandbox.bubblewrap import bubblewrap_works
@@ -37,7 +38,6 @@ from slamcmp.grading.sandbox.proofs import IN_THE_GRADER, MEANING, Level, Outcom
 from slamcmp.grading.sandbox.protocol import FrameError, decode, encode
 from slamcmp.grading.sandbox.readable import readable_for, world_reachable
 from slamcmp.grading.sandbox.staging import Staging
-from slamcmp.grading.submission import Submission
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
 Handle = NewType("Handle", int)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.types import FloatArray
 from slamcmp.worlds.rendering import textures
 from slamcmp.worlds.rendering.scene import Panel, Scene
 
-FloatArray = NDArray[np.float64]
 Paint = Callable[[int, int, np.random.Generator], NDArray[np.uint8]]
 
 _WALL_TEXEL_M = 0.005

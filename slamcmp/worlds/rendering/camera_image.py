@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.types import FloatArray
 from slamcmp.worlds.rendering.scene import Scene, faces_camera
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.float32]
 Size = tuple[int, int]
 

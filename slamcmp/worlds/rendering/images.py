@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from slamcmp.geometry import exp, local
 from slamcmp.models.camera import MonoCamera, RgbdCamera, StereoCamera
-from slamcmp.types import CameraFrame
+from slamcmp.types import CameraFrame, FloatArray
 from slamcmp.worlds.rendering.camera_image import Size, render_depth, render_exposure
 from slamcmp.worlds.rendering.scene import Scene
 
-FloatArray = NDArray[np.float64]
 AnyCamera = MonoCamera | StereoCamera | RgbdCamera
 
 

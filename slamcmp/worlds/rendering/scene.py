@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.geometry import inverse, transform
+from slamcmp.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Texture = NDArray[np.uint8]
 
 

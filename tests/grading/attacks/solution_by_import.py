@@ -6,6 +6,6 @@ Control: wins without the sandbox.
 
 
 def attack(target):
-    from slamcmp.backends.ekf_slam import EkfSlam
+    from slamcmp.backends.filters.ekf_slam import EkfSlam
 
     return f"WON: {EkfSlam}"

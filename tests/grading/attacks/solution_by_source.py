@@ -10,5 +10,5 @@ import slamcmp
 
 
 def attack(target):
-    path = os.path.join(os.path.dirname(slamcmp.__file__), "backends", "ekf_slam.py")
+    path = os.path.join(os.path.dirname(slamcmp.__file__), "backends", "filters", "ekf_slam.py")
     return "WON" if "def " in open(path).read() else None

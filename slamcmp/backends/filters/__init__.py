@@ -1,0 +1,1 @@
+"""Filters: every past pose is marginalised."""

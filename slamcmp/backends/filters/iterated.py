@@ -1,0 +1,123 @@
+"""Iterated EKF-SLAM: the frame's cost minimised by Gauss–Newton instead of one step of it.
+
+The cost of a frame is |s|² in the prior's covariance plus the whitened residuals of its observations (Bell
+and Cathey 1993), where s is the offset from the predicted mean in the world chart, additive in position and
+landmarks. There the prior is quadratic, so Gauss–Newton from iterate s_i is the Kalman update with y + H s_i
+in place of y; H is taken at the iterate and carried to s by the left Jacobian of the rotation. New landmarks
+fit exactly, so they only follow the pose's last linearisation. One iteration is ``ekf_slam``.
+
+========  =================================================================
+symbol    meaning
+========  =================================================================
+s         offset from the predicted mean, pose (p,) and landmarks
+J         at the pose's part of s: d(error of the pose there) = J ds
+y, H, R   stacked innovation, Jacobian and noise of the known landmarks
+========  =================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from slamcmp.backends.entries import entering
+from slamcmp.backends.filters.charts import WorldChart
+from slamcmp.backends.filters.covariance import block_diagonal
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, stacked
+from slamcmp.backends.filters.linearisation import LatestEstimate
+from slamcmp.backends.filters.rts_smoother import Step
+from slamcmp.backends.relaxation import relaxed_share
+from slamcmp.geometry import so3_left_jacobian
+from slamcmp.registry import back_ends
+from slamcmp.types import FloatArray, Frame, IntArray, Problem
+
+
+@back_ends.register("iterated_ekf")
+class IteratedEkf(ErrorStateEkf):
+    """EKF-SLAM that relinearises every frame's observations until the estimate rests.
+
+    Args:
+        problem: prior and sensor.
+        iterations: most Gauss–Newton steps a frame; 1 is the plain EKF. A step after one that jumped over
+            the minimum is shortened, but for the last.
+        tolerance: a step whose largest entry [m or rad] is below it is the last.
+        smooth: keep the history and offer ``trajectory()`` (RTS).
+
+    Raises:
+        DivergedError: an innovation covariance is not positive definite or not finite.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        iterations: Annotated[int, Ge(1)] = 10,
+        tolerance: Annotated[float, Gt(0)] = 1e-12,
+        smooth: bool = False,
+    ) -> None:
+        chart = WorldChart(problem.sensor.space_dim)
+        super().__init__(problem, chart, LatestEstimate(), new_landmarks="join_first", smooth=smooth)
+        self._iterations, self._tolerance = iterations, tolerance
+
+    def _observe(self, frame: Frame, numbers: IntArray) -> None:
+        known = numbers >= 0
+        p = self._chart.p
+        T_prior, landmarks_prior = self._T, self._landmarks
+        T_linear, since = T_prior, np.zeros(p)
+        s = np.zeros(p + landmarks_prior.size)
+        if known.any():
+            s_linear, touched, y, H, R = self._last_linearisation(
+                *self._in_front(numbers[known], frame.z[known], frame.R[known])
+            )
+            s = self._condition(touched, y, H, R)
+            J = self._carried(s_linear)
+            # The covariance belongs to the errors at the point of linearisation, as the plain EKF's does.
+            self._P.propagate(J, np.zeros_like(J))
+            if self.history is not None:
+                self.history.events.append(Step(J))
+            if self._unanchored is not None:
+                self._unanchored.move(J)
+            T_linear = self._chart.retract(T_prior, landmarks_prior[:0], s_linear[:p])[0]
+            since = J @ (s[:p] - s_linear[:p])
+        entries = entering(frame, ~known, self._sensor)
+        self._dropped += entries.dropped
+        if entries.ids.size:
+            self._T = T_linear
+            G = self._augment(entries)
+            s = np.concatenate([s, G @ since])
+            landmarks_prior = self._landmarks
+        self._T, self._landmarks = self._chart.retract(T_prior, landmarks_prior, s)
+
+    def _last_linearisation(
+        self, numbers: IntArray, z: FloatArray, R: FloatArray
+    ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+        """Iterate on the touched states only; s (c,) where it ended, and the linear observation there."""
+        n = self._chart.n
+        touched, R_all = self._touched(numbers), block_diagonal(R)
+        P = self._P.columns(touched, n)[touched]
+        seen_prior = self._landmarks[numbers]
+        s = np.zeros(touched.size)
+        last_step: FloatArray | None = None
+        share = 1.0
+        for remaining in reversed(range(self._iterations)):
+            T, seen = self._chart.retract(self._T, seen_prior, s)
+            self._points = T, seen, numbers
+            H_pose, H_land = self._jacobians(self._sensor, T, seen)
+            H = stacked(H_pose @ self._carried(s), H_land)
+            y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s
+            if remaining:
+                step = P @ H.T @ np.linalg.solve(H @ P @ H.T + R_all, y) - s
+                if np.abs(step).max() < self._tolerance:
+                    break
+                share, last_step = relaxed_share(step, last_step, share), step
+                s = s + share * step
+        return s, touched, y, H, R_all
+
+    def _carried(self, s: FloatArray) -> FloatArray:
+        """J (p, p): all is additive but the rotation in space."""
+        J = np.eye(self._chart.p)
+        if self._chart.n == 3:
+            J[:3, :3] = so3_left_jacobian(s[:3])
+        return J

@@ -1,0 +1,276 @@
+"""Multi-state constraint Kalman filter: past poses stay in the state, landmarks never enter it.
+
+The opposite choice to EKF-SLAM: there poses are marginalised and landmarks kept, here a landmark's track is
+marginalised the moment it ends. All its observations act at once as constraints between the poses that made
+them, after the landmark itself is projected out (Mourikis and Roumeliotis 2007, "A multi-state constraint
+Kalman filter for vision-aided inertial navigation", sec. III-D). The cost of a frame does not grow with the
+map, but a place seen again is a new landmark: nothing closes a loop longer than the window. Errors of poses
+are additive in the world, as in ``ekf_slam``, and written in the poses' own axes.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+T, P      the window's poses (K, n+1, n+1), oldest first, and their joint
+          covariance (K p, K p) in body tangents
+z, R      observations of a track and their covariances
+H_x, H_f  a track's whitened Jacobians by the poses (m d, K p), the landmark (m d, n)
+r         whitened residual, (m d,)
+J         turns the poses' errors into the axes of the corrected poses
+N         basis of the left null space of H_f, N^T H_f = 0
+G         (H_f^T H_f)^-1 H_f^T H_x: how the landmark follows the poses
+S         innovation covariance
+========  =====================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge
+from scipy.linalg.lapack import dpotrf, dtrtrs
+
+from slamcmp.backends.entries import behind, places_by_itself
+from slamcmp.backends.filters.covariance import block_diagonal
+from slamcmp.backends.whitening import whiteners
+from slamcmp.backends.window.sights import Sights, padded
+from slamcmp.errors import DivergedError
+from slamcmp.geometry import adjoint_of_inverse, retract_in_world_axes
+from slamcmp.models.sensors import entry_sensor
+from slamcmp.registry import back_ends
+from slamcmp.types import Detections, Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
+
+TRIANGULATION_STEPS = 10
+"""Gauss-Newton steps for one landmark; with a good first sight three suffice."""
+
+
+@dataclass
+class Track:
+    """A landmark's observations that no update has used yet."""
+
+    frames: list[int] = field(default_factory=list)
+    z: list[FloatArray] = field(default_factory=list)
+    W: list[FloatArray] = field(default_factory=list)
+    entering: list[bool] = field(default_factory=list)
+    """Which the entry sensor made (entries.py)."""
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """What a finished track says about the poses, and where that leaves its landmark."""
+
+    landmark: int
+    position: FloatArray
+    """(n,)."""
+    own: FloatArray
+    """Covariance of the landmark given the poses, (n, n)."""
+    G: FloatArray
+    """(n, K p)."""
+    H: FloatArray
+    """N^T H_x, (m d - n, K p)."""
+    r: FloatArray
+    """N^T r."""
+
+
+@back_ends.register("msckf", closes_loops=False)
+class Msckf:
+    """MSCKF-style filter: a window of poses, landmarks marginalised as their tracks end.
+
+    A track ends when a frame does not see its landmark, or when its first pose leaves the window; a landmark
+    that is seen on starts a new track. The online estimate does not know the observations of tracks that
+    still run. A single camera's first track begins with the landmark's entry, later ones have pixels only and
+    are triangulated from where the last one left the landmark; a track that determines no point in front of
+    all its cameras is dropped, and counted.
+
+    Args:
+        problem: prior and sensor (planar or spatial).
+        window: poses kept, the current one included; a track cannot be longer.
+
+    Raises:
+        DivergedError: an innovation covariance is not positive definite or not finite.
+    """
+
+    def __init__(self, problem: Problem, *, window: Annotated[int, Ge(2)] = 15) -> None:
+        self._sensor = problem.sensor
+        self._sights = Sights(problem.sensor, entry_sensor(problem.sensor))
+        self._window = window
+        self._p, self._n = problem.P.shape[0], problem.sensor.space_dim
+        self._T = problem.T_world_body[None].copy()
+        self._P = problem.P.copy()
+        self._first = 0
+        """Number of the window's oldest frame."""
+        self._tracks: dict[int, Track] = {}
+        self._map: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._nis, self._nis_dof, self._used = 0.0, 0, 0
+        self._dropped = 0
+        self._t: list[float] = []
+        self._left: list[tuple[FloatArray, FloatArray]] = []
+
+    def update(self, frame: Frame) -> None:
+        """Append the pose, note the observations, use up finished tracks, drop the oldest pose."""
+        if frame.k > 0:
+            self._append_pose(frame)
+        self._t.append(frame.t)
+        self._dropped = 0
+        if frame.entries is not None:
+            self._note(frame.k, frame.entries, entering=True)
+        self._note(frame.k, frame, entering=False)
+        full = len(self._T) == self._window
+        finished = [
+            landmark
+            for landmark, track in self._tracks.items()
+            if track.frames[-1] < frame.k or (full and track.frames[0] == self._first)
+        ]
+        self._correct([self._constraint(landmark, self._tracks.pop(landmark)) for landmark in finished])
+        if full:
+            # One place early: the window holds w poses again when the next frame's has been appended.
+            self._left.append((self._T[0], self._P[: self._p, : self._p]))
+            self._T, self._P = self._T[1:], self._P[self._p :, self._p :]
+            self._first += 1
+
+    def estimate(self) -> Estimate:
+        """The current pose and its covariance."""
+        return Estimate(self._T[-1], self._P[-self._p :, -self._p :])
+
+    def landmarks(self) -> Landmarks:
+        """The landmarks of finished tracks, each as its latest track left it."""
+        ids = np.fromiter(self._map, dtype=np.int64, count=len(self._map))
+        positions = np.array([position for position, _ in self._map.values()]).reshape(-1, self._n)
+        covariances = np.array([P for _, P in self._map.values()]).reshape(-1, self._n, self._n)
+        return Landmarks(ids, positions, covariances)
+
+    def trajectory(self) -> Trajectory:
+        """Each pose as it left the window, or as it stands in it."""
+        p = self._p
+        own = self._P.reshape(len(self._T), p, len(self._T), p)
+        index = np.arange(len(self._T))
+        poses = [T for T, _ in self._left] + list(self._T)
+        covariances = [P for _, P in self._left] + list(own[index, :, index, :])
+        return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map, and
+        how many observations were dropped with their tracks."""
+        return {
+            "nis": self._nis if self._nis_dof else float("nan"),
+            "nis_dof": self._nis_dof,
+            "tracks_used": self._used,
+            "landmarks": len(self._map),
+            "dropped": self._dropped,
+        }
+
+    def _note(self, k: int, sights: Frame | Detections, *, entering: bool) -> None:
+        """Observations from the newest pose, each with its track."""
+        if sights.ids.size == 0:
+            return
+        z, W = padded(sights.z, whiteners(sights.R), self._sights.dim)
+        for row, landmark in enumerate(sights.ids.tolist()):
+            track = self._tracks.setdefault(landmark, Track())
+            track.frames.append(k)
+            track.z.append(z[row])
+            track.W.append(W[row])
+            track.entering.append(entering)
+
+    def _append_pose(self, frame: Frame) -> None:
+        p = self._p
+        self._T = np.concatenate([self._T, (self._T[-1] @ frame.T_prev_body)[None]])
+        rows = adjoint_of_inverse(frame.T_prev_body) @ self._P[-p:]
+        corner = rows[:, -p:] @ adjoint_of_inverse(frame.T_prev_body).T + frame.Q
+        self._P = np.block([[self._P, rows.T], [rows, 0.5 * (corner + corner.T)]])
+
+    def _constraint(self, landmark: int, track: Track) -> Constraint | None:
+        """Triangulate the landmark, then take it out; None where nothing about the poses is left."""
+        z, W, entering = np.array(track.z), np.array(track.W), np.array(track.entering)
+        sights = self._sights
+        if not places_by_itself(self._sensor):
+            sights = replace(sights, entering=entering)
+        m, d = z.shape
+        # Rows that only fill up would count as measurements.
+        real = np.arange(d) < np.where(entering, sights.entry_sensor.dim, self._sensor.dim)[:, None]
+        if real.sum() <= self._n:
+            return None
+        numbers = np.array(track.frames) - self._first
+        poses = self._T[numbers]
+        start = self._start(landmark, track, poses[0])
+        position = None if start is None else triangulate(sights, poses, z, W, start)
+        if position is None:
+            self._dropped += m
+            return None
+        points = np.tile(position, (m, 1))
+        H_pose, H_land = sights.derivatives(poses, points, poses, points)
+        blocks = np.zeros((m, d, len(self._T), self._p))
+        blocks[np.arange(m), :, numbers, :] = W @ H_pose
+        H_x = blocks.reshape(m, d, -1)[real]
+        H_f = (W @ H_land)[real]
+        r = -(W @ sights.errors(poses, points, z)[..., None])[..., 0][real]
+        basis, triangle = np.linalg.qr(H_f, mode="complete")
+        inverse = np.linalg.inv(triangle[: self._n])
+        N = basis[:, self._n :]
+        return Constraint(
+            landmark,
+            position,
+            inverse @ inverse.T,
+            inverse @ basis[:, : self._n].T @ H_x,
+            N.T @ H_x,
+            N.T @ r,
+        )
+
+    def _start(self, landmark: int, track: Track, T: FloatArray) -> FloatArray | None:
+        """Where triangulation begins: by the first sight from T, or where the last track ended."""
+        by = self._sights.entry_sensor
+        if track.entering[0] or places_by_itself(self._sensor):
+            return by.invert(T, track.z[0][: by.dim])
+        return self._map[landmark][0] if landmark in self._map else None
+
+    def _correct(self, constraints: list[Constraint | None]) -> None:
+        used = [constraint for constraint in constraints if constraint is not None]
+        self._nis, self._nis_dof, self._used = 0.0, 0, len(used)
+        if not used:
+            return
+        H = np.concatenate([constraint.H for constraint in used])
+        r = np.concatenate([constraint.r for constraint in used])
+        PHt = self._P @ H.T
+        L, failed = dpotrf(H @ PHt + np.eye(r.size), lower=1)
+        W_t = dtrtrs(L, PHt.T, lower=1)[0]
+        e = dtrtrs(L, r, lower=1)[0]
+        self._nis, self._nis_dof = float(e @ e), r.size
+        if failed or not np.isfinite(self._nis):
+            raise DivergedError(
+                "the innovation covariance of the finished tracks is not positive definite, or their "
+                "residual not finite"
+            )
+        step = W_t.T @ e
+        P = self._P - W_t.T @ W_t
+        for constraint in used:
+            G = constraint.G
+            self._map[constraint.landmark] = (constraint.position - G @ step, constraint.own + G @ P @ G.T)
+        self._T, turns = retract_in_world_axes(self._T, step.reshape(-1, self._p))
+        J = block_diagonal(turns)
+        self._P = J @ P @ J.T
+
+
+def triangulate(
+    sights: Sights, poses: FloatArray, z: FloatArray, W: FloatArray, start: FloatArray
+) -> FloatArray | None:
+    """The landmark (n,) that fits observations z (m, d) from known poses (m, …) best, or None.
+
+    Gauss-Newton from ``start`` (n,); W (m, d, d) whitens. None where the observations do not determine it, or
+    not in front of every camera.
+    """
+    m = len(z)
+    position = start
+    for _ in range(TRIANGULATION_STEPS):
+        points = np.tile(position, (m, 1))
+        H = (W @ sights.derivatives(poses, points, poses, points)[1]).reshape(z.size, -1)
+        r = -(W @ sights.errors(poses, points, z)[..., None]).ravel()
+        L, failed = dpotrf(H.T @ H, lower=1)
+        if failed:
+            return None
+        step = dtrtrs(L, dtrtrs(L, H.T @ r, lower=1)[0], lower=1, trans=1)[0]
+        position = position + step
+        if np.abs(step).max() < 1e-10:
+            break
+    hidden = behind(sights.sensor, poses, np.tile(position, (m, 1)))
+    return None if hidden is not None and hidden.any() else position

@@ -1,0 +1,251 @@
+"""What an estimator would know about its pose from measurements alone, had it known nothing at the start.
+
+Nothing that a robot measures tells where in the world its map lies: a correct estimator would know nothing.
+One whose Jacobians do not fit each other takes information about directions that no measurement sees; this
+module lets its own linear system run a second time, without the prior on the first pose, and asks what is
+left on the current pose once the map is eliminated. The null space of that information is carried by the
+steps from that of the observability matrix [H_0; H_1 F_1; H_2 F_2 F_1; …] (Huang, Mourikis, Roumeliotis 2010,
+eq. 22), so both have the same nullity: a row is zero for a direction exactly if the direction costs nothing.
+
+The information is kept as a square root, as rows of R with cost |R x|² (Bierman 1977, ch. V and VI), because
+zero is then told from rounding at 1e-16 of the Jacobians and not of their squares.
+
+========  ===================================================================
+symbol    meaning
+========  ===================================================================
+x         error of pose (p,) and landmarks (n L,), in the estimator's own chart
+R         rows of the square-root information
+F, D      a step's transition of the pose's error (p, p), and of each landmark's (n, n)
+W, u      the step's noise is W u, u of unit covariance, W (pose or all states, q)
+G, N      new landmarks' derivative by the pose's error, and their own noise
+H         Jacobian of observations of known landmarks
+========  ===================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slamcmp.backends.window.cost import ObservationTerms, OdometryTerms
+from slamcmp.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """What a frame's linear system claims, and where its Jacobians were taken."""
+
+    root: FloatArray
+    """Square root (p, p) of the information about the current pose without a start, in the body tangent:
+    its square is zero for a correct estimator."""
+    scale: FloatArray
+    """(p,): root-sum-square of the whitened observations' Jacobians by the pose, to judge zero by."""
+    T_world_body: FloatArray | None = None
+    """Pose (n+1, n+1) of the frame's observation Jacobians; None where there are none."""
+    landmarks_at: FloatArray | None = None
+    """Landmarks (m, n) of the frame's observation Jacobians."""
+    landmarks: FloatArray | None = None
+    """Where the estimate now has them, (m, n)."""
+
+
+class UnanchoredFilter:
+    """A filter's linear system without its start, driven by the filter's own matrices.
+
+    States are numbered as the filter does: the pose's, then the landmarks' by first sight.
+
+    Args:
+        p: dimension of the pose's error.
+    """
+
+    def __init__(self, p: int) -> None:
+        self._p = p
+        self._noise = 0
+        self._states = p
+        # Columns: the noise of a step in progress, the landmarks, the pose.
+        self._rows: list[FloatArray] = [np.empty((0, p))]
+        self._squares = np.zeros(p)
+
+    def shake(self, q: int) -> None:
+        """Let unit noise u (q,) of the step in progress join; ``move`` takes it out again."""
+        R = self._triangle()
+        self._rows = [np.concatenate([np.eye(q, q + self._states), np.pad(R, ((0, 0), (q, 0)))])]
+        self._noise = q
+
+    def move(self, F: FloatArray | None, D: FloatArray | None = None, W: FloatArray | None = None) -> None:
+        """x becomes F, D times x plus W u; None: unchanged, or no noise."""
+        if W is not None and not self._noise:
+            self.shake(W.shape[1])
+        p, q = self._p, self._noise
+        R = self._triangle()
+        if F is not None:
+            R[:, -p:] = R[:, -p:] @ np.linalg.inv(F)
+        if D is not None:
+            turned = R[:, q:-p].reshape(len(R), -1, len(D)) @ np.linalg.inv(D)
+            R[:, q:-p] = turned.reshape(len(R), -1)
+        if W is not None:
+            R[:, :q] -= R[:, self._columns(np.arange(len(W)))] @ W
+            R = triangular(R)[q:, q:]
+        self._noise = 0
+        self._rows = [R]
+
+    def grow(self, G: FloatArray, N: FloatArray, by_noise: FloatArray | None = None) -> None:
+        """New landmarks last: G (a, p) times the pose's error, ``by_noise`` (a, q) u, noise N (a, a)."""
+        a, p = G.shape
+        R = self._triangle()
+        grown = np.concatenate([R[:, :-p], np.zeros((len(R), a)), R[:, -p:]], axis=1)
+        row = np.zeros((a, grown.shape[1]))
+        row[:, -p:] = -G
+        row[:, -p - a : -p] = np.eye(a)
+        if by_noise is not None:
+            row[:, : self._noise] = -by_noise
+        self._states += a
+        self._rows = [grown, _whitened(row, N)]
+        self._squares += (self._rows[1][:, -p:] ** 2).sum(axis=0)
+
+    def observe(
+        self, touched: IntArray, H: FloatArray, noise: FloatArray, by_noise: FloatArray | None = None
+    ) -> None:
+        """Rows H (k, c) on the states ``touched`` (c,), plus ``by_noise`` (k, q) u, of covariance (k, k)."""
+        row = np.zeros((len(H), self._noise + self._states))
+        row[:, self._columns(touched)] = H
+        if by_noise is not None:
+            row[:, : self._noise] = by_noise
+        self._rows.append(_whitened(row, noise))
+        self._squares += (self._rows[-1][:, -self._p :] ** 2).sum(axis=0)
+
+    def drop(self, states: IntArray) -> None:
+        """Marginalise landmarks' states (s,) between two steps; the others close ranks in their order."""
+        R = self._triangle()
+        columns = self._columns(states)
+        keep = np.setdiff1d(np.arange(R.shape[1]), columns)
+        self._rows = [triangular(R[:, np.concatenate([columns, keep])])[states.size :, states.size :]]
+        self._states -= states.size
+
+    def told(self) -> tuple[FloatArray, FloatArray]:
+        """Root (p, p) of the information on the pose without the map, and its scale (p,), in the chart."""
+        return _last_block(self._triangle(), self._p), np.sqrt(self._squares)
+
+    def _columns(self, states: IntArray) -> IntArray:
+        p, map_size = self._p, self._states - self._p
+        return self._noise + np.where(states < p, map_size + states, states - p)
+
+    def _triangle(self) -> FloatArray:
+        if len(self._rows) > 1 or len(self._rows[0]) > self._rows[0].shape[1]:
+            self._rows = [triangular(np.concatenate(self._rows))]
+        return self._rows[0]
+
+
+class UnanchoredWindow:
+    """The same of a sliding window: its marginal prior without the start, linearised as the real one is.
+
+    Columns of a root: a pose, then the landmarks.
+
+    Args:
+        p: dimension of the pose's error.
+    """
+
+    def __init__(self, p: int) -> None:
+        self._p = p
+        self._prior: FloatArray = np.empty((0, p))
+        self._linear = self._prior
+        self._squares = np.zeros(p)
+
+    def linearise(self, J: FloatArray) -> None:
+        """Take the prior to the pose's error of which its own is J (p, p) times."""
+        self._linear = _by_pose(self._prior, J)
+
+    def turn(self, J: FloatArray) -> None:
+        """The same for what ``linearise`` left."""
+        self._linear = _by_pose(self._linear, J)
+
+    def marginalise(
+        self,
+        odometry: OdometryTerms,
+        observations: ObservationTerms,
+        pose_of: IntArray,
+        landmark_of: IntArray,
+    ) -> None:
+        """Turn the oldest pose's rows into a prior on the next."""
+        here = pose_of == 0
+        self._squares += (observations.H_pose[here] ** 2).sum(axis=(0, 1))
+        rows = self._of_pose(self._linear, observations, here, landmark_of)
+        self._prior = self._linear = _passed_on(rows, odometry.A_prev[0], odometry.A_next[0])
+
+    def drop(self, landmarks: IntArray, n: int) -> None:
+        """Marginalise the landmarks (m,) with these numbers out of the prior."""
+        p, R = self._p, self._prior
+        known = landmarks[p + n * (landmarks + 1) <= R.shape[1]]
+        states = (p + n * known[:, None] + np.arange(n)).ravel()
+        keep = np.setdiff1d(np.arange(R.shape[1]), states)
+        R = triangular(R[:, np.concatenate([states, keep])])
+        self._prior = self._linear = R[states.size :, states.size :]
+
+    def told(
+        self,
+        odometry: OdometryTerms,
+        observations: ObservationTerms,
+        pose_of: IntArray,
+        landmark_of: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Root (p, p) of the information on the last pose, all else eliminated, and its scale (p,)."""
+        R, last = self._linear, odometry.b.shape[0]
+        for pose in range(last):
+            rows = self._of_pose(R, observations, pose_of == pose, landmark_of)
+            R = _passed_on(rows, odometry.A_prev[pose], odometry.A_next[pose])
+        R = self._of_pose(R, observations, pose_of == last, landmark_of)
+        squares = self._squares + (observations.H_pose**2).sum(axis=(0, 1))
+        p = self._p
+        return _last_block(triangular(np.concatenate([R[:, p:], R[:, :p]], axis=1)), p), np.sqrt(squares)
+
+    def _of_pose(
+        self, R: FloatArray, observations: ObservationTerms, here: NDArray[np.bool_], landmark_of: IntArray
+    ) -> FloatArray:
+        """The rows R on a pose and landmarks, with those of the observations ``here`` below."""
+        H_pose, H_land, numbers = observations.H_pose[here], observations.H_land[here], landmark_of[here]
+        m, d, p = H_pose.shape
+        n = H_land.shape[2]
+        size = max(R.shape[1], p + n * (int(numbers.max(initial=-1)) + 1))
+        rows = np.zeros((m, d, size))
+        rows[:, :, :p] = H_pose
+        columns = p + n * numbers[:, None] + np.arange(n)
+        rows[np.arange(m)[:, None, None], np.arange(d)[:, None], columns[:, None, :]] = H_land
+        return np.concatenate([np.pad(R, ((0, 0), (0, size - R.shape[1]))), rows.reshape(m * d, size)])
+
+
+def triangular(rows: FloatArray) -> FloatArray:
+    """The triangular factor of rows (m, c): the same cost in at most c rows."""
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+
+
+def square_root(P: FloatArray) -> FloatArray:
+    """W (s, s) with W W^T = P, for P that may be singular."""
+    variances, directions = np.linalg.eigh(P)
+    root: FloatArray = directions * np.sqrt(np.maximum(variances, 0.0))
+    return root
+
+
+def _by_pose(R: FloatArray, J: FloatArray) -> FloatArray:
+    p = len(J)
+    return np.concatenate([R[:, :p] @ J, R[:, p:]], axis=1)
+
+
+def _passed_on(rows: FloatArray, A_prev: FloatArray, A_next: FloatArray) -> FloatArray:
+    """Rows on (pose, landmarks) and an increment's, as rows on (next pose, landmarks)."""
+    p = len(A_prev)
+    increment = np.concatenate([A_prev, np.zeros((p, rows.shape[1] - p)), A_next], axis=1)
+    R = triangular(np.concatenate([np.pad(rows, ((0, 0), (0, p))), increment]))[p:, p:]
+    return np.concatenate([R[:, -p:], R[:, :-p]], axis=1)
+
+
+def _last_block(R: FloatArray, p: int) -> FloatArray:
+    """The last block (p, p) of a triangular factor that may lack its last rows."""
+    block = R[R.shape[1] - p :, -p:]
+    return np.pad(block, ((0, p - len(block)), (0, 0)))
+
+
+def _whitened(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """L^-1 times the rows, covariance = L L^T."""
+    whitened: FloatArray = np.linalg.solve(np.linalg.cholesky(covariance), rows)
+    return whitened

@@ -1,0 +1,109 @@
+"""The published EKF-SLAM variants: each a chart and a linearisation policy, nothing else.
+
+========================  ======================  ==========================
+name                      chart                   Jacobians at
+========================  ======================  ==========================
+``ekf_world``             world-additive          the latest estimate
+``ekf_fej``               world-additive          each variable's first estimate
+``ekf_oc``                world-additive          the nearest points that keep the gauge
+``ekf_ideal``             world-additive          the truth
+``ekf_right_invariant``   right-invariant         the latest estimate
+========================  ======================  ==========================
+
+``ekf_slam`` is ``ekf_world`` without this engine, sooner; ``ekf_robocentric`` has another order of steps and
+a file of its own. For ``new_landmarks`` and ``smooth`` see error_state_ekf.py.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from slamcmp.backends.filters.charts import RightInvariantChart, WorldChart
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
+from slamcmp.backends.filters.linearisation import (
+    FirstEstimates,
+    LatestEstimate,
+    ObservabilityConstrained,
+    Truth,
+)
+from slamcmp.registry import back_ends
+from slamcmp.types import GroundTruth, Problem
+
+
+@back_ends.register("ekf_world")
+class WorldEkf(ErrorStateEkf):
+    """The textbook EKF-SLAM: error additive in the world, Jacobians at the latest estimate.
+
+    The numbers of ``ekf_slam``; with ``smooth`` it is that filter's fair partner in hindsight.
+    """
+
+    def __init__(
+        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+    ) -> None:
+        chart = WorldChart(problem.sensor.space_dim)
+        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
+
+
+@back_ends.register("ekf_fej")
+class FirstEstimatesEkf(ErrorStateEkf):
+    """First-estimates-Jacobian EKF-SLAM (Huang, Mourikis, Roumeliotis 2008).
+
+    ``new_landmark_jacobian`` matters with ``update_first`` only: "predicted" keeps the gauge, "updated" is
+    how published code has it.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: NewLandmarks = "join_first",
+        new_landmark_jacobian: Literal["predicted", "updated"] = "predicted",
+        smooth: bool = False,
+    ) -> None:
+        policy = FirstEstimates(problem.T_world_body, new_at_predicted=new_landmark_jacobian == "predicted")
+        chart = WorldChart(problem.sensor.space_dim)
+        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth)
+
+
+@back_ends.register("ekf_oc")
+class ObservabilityConstrainedEkf(ErrorStateEkf):
+    """Observability-constrained EKF-SLAM (Huang, Mourikis, Roumeliotis 2010)."""
+
+    def __init__(
+        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+    ) -> None:
+        policy = ObservabilityConstrained(problem.T_world_body)
+        chart = WorldChart(problem.sensor.space_dim)
+        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth)
+
+
+@back_ends.register("ekf_right_invariant")
+class RightInvariantEkf(ErrorStateEkf):
+    """Right-invariant EKF-SLAM (Barrau, Bonnabel 2015; Zhang, Wu, Huang 2017)."""
+
+    def __init__(
+        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+    ) -> None:
+        chart = RightInvariantChart(problem.sensor.space_dim)
+        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
+
+
+@back_ends.register("ekf_ideal", needs_truth=True)
+class IdealEkf(ErrorStateEkf):
+    """EKF-SLAM with every Jacobian at the truth: what linearisation alone costs is the distance to it.
+
+    Args:
+        problem: prior and sensor.
+        truth: the true poses, one a frame, and every landmark the stream observes.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        truth: GroundTruth,
+        *,
+        new_landmarks: NewLandmarks = "join_first",
+        smooth: bool = False,
+    ) -> None:
+        chart = WorldChart(problem.sensor.space_dim)
+        super().__init__(problem, chart, Truth(truth), new_landmarks=new_landmarks, smooth=smooth)

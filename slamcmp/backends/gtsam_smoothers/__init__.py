@@ -1,0 +1,1 @@
+"""Smoothers on GTSAM."""

@@ -1,0 +1,259 @@
+"""Batch smoothing: every pose and landmark that the whole cost determines, iterated to convergence.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+P, Q      covariance of the newest pose and of an odometry increment, body tangent, (p, p)
+========  =====================================================================
+
+From dead reckoning, Levenberg-Marquardt stalls in wrong basins on real data, and GTSAM does not say so;
+hence the warm start and the test of chi-square. Dellaert and Kaess 2017, "Factor graphs for robot
+perception", chapter 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import gtsam
+import numpy as np
+from annotated_types import Ge, Gt
+
+from slamcmp.backends.gtsam_smoothers.factors import pose_key
+from slamcmp.backends.gtsam_smoothers.graph import (
+    GraphBuilder,
+    RobustKernel,
+    diverged,
+    poses_in,
+    require_finite,
+)
+from slamcmp.backends.gtsam_smoothers.incremental import IncrementalSolver, isam2_parameters
+from slamcmp.errors import DivergedError
+from slamcmp.geometry import adjoint, inverse
+from slamcmp.registry import back_ends
+from slamcmp.types import Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
+
+Optimizer = Literal["lm", "gauss_newton", "dogleg"]
+WarmStart = Literal["isam2", "dead_reckoning"]
+
+
+@back_ends.register("batch")
+class Batch:
+    """Full least squares over all poses and landmarks.
+
+    The *final* column is the converged optimum. The *online* column is a batch solution too only with
+    ``every=1``, where each frame costs a full solve; by default it is the warm start's causal estimate
+    (iSAM2's, or dead reckoning), which is what a robot would have had at that time.
+
+    Args:
+        problem: prior and sensor.
+        optimizer: Levenberg-Marquardt, Gauss-Newton or Powell's dogleg.
+        warm_start: where a solve starts: the incremental solution, or the odometry chain with each landmark
+            where it was first seen (which often ends in a wrong basin).
+        every: solve causally at frames 0, every, 2 every, …, with odometry carrying the pose in between;
+            0: only in the end.
+        max_iterations: of one solve; reaching it counts as diverged.
+        relative_error_tol: a solve stops when an iteration lowers the cost by less than this share.
+        max_chi2_per_dof: a final solution above it counts as diverged: a wrong basin, or noise that the
+            covariances do not describe. 3 lies far outside chance for any dof over 20.
+        final_covariances: give ``trajectory()`` a covariance for every pose (0.2 s for 7000 poses).
+        robust: kernel on the observations' whitened residuals.
+        robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
+
+    Raises:
+        UsageError: prior or odometry covariance is singular.
+        DivergedError: GTSAM failed, did not converge, or ended in a solution that cannot be right.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        optimizer: Optimizer = "lm",
+        warm_start: WarmStart = "isam2",
+        every: Annotated[int, Ge(0)] = 0,
+        max_iterations: Annotated[int, Ge(1)] = 100,
+        relative_error_tol: Annotated[float, Ge(0)] = 1e-10,
+        max_chi2_per_dof: Annotated[float, Gt(0)] = 3.0,
+        final_covariances: bool = True,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
+    ) -> None:
+        self._builder = GraphBuilder(problem, robust=robust, robust_width=robust_width)
+        self._optimizer = optimizer
+        self._every = every
+        self._max_iterations = max_iterations
+        self._relative_error_tol = relative_error_tol
+        self._max_chi2_per_dof = max_chi2_per_dof
+        self._final_covariances = final_covariances
+        self._graph = gtsam.NonlinearFactorGraph()
+        self._chain = gtsam.Values()
+        self._incremental: IncrementalSolver | None = None
+        if warm_start == "isam2":
+            parameters = isam2_parameters(
+                relinearize_threshold=0.1,
+                relinearize_skip=10,
+                factorization="cholesky",
+                optimizer="gauss_newton",
+            )
+            self._incremental = IncrementalSolver("batch", self._builder.space_dim, parameters)
+        self._warm_pose: Any = None
+        self._pose = problem.T_world_body
+        self._P = problem.P
+        self._t: list[float] = []
+        self._solution: _Solution | None = None
+        self._behind = 0
+
+    def update(self, frame: Frame) -> None:
+        """Add the frame to the cost and to the warm start; solve where ``every`` says so."""
+        incremental = self._incremental
+        graph, values = self._builder.extend(frame, self._warm_pose)
+        self._graph.push_back(graph)
+        self._t.append(frame.t)
+        self._solution = None
+        if incremental is None:
+            self._chain.insert(values)
+            self._warm_pose = self._pose_in(values, frame.k)
+        else:
+            incremental.update(graph, values)
+            self._warm_pose = incremental.pose
+        if frame.k:
+            A = adjoint(inverse(frame.T_prev_body))
+            self._pose = self._pose @ frame.T_prev_body
+            self._P = A @ self._P @ A.T + frame.Q
+        if self._every and frame.k % self._every == 0:
+            solution = self._solve()
+            # Kept for the frames in between, which odometry carries on from here.
+            self._pose = self._pose_in(solution.values, frame.k).matrix()
+            self._P = solution.covariance(pose_key(frame.k))
+
+    def estimate(self) -> Estimate:
+        """The newest pose: at the optimum once solved for, else from the warm start (see the class)."""
+        if self._solution is not None:
+            k = len(self._t) - 1
+            solution = self._solution
+            return Estimate(self._pose_in(solution.values, k).matrix(), solution.covariance(pose_key(k)))
+        if self._every or self._incremental is None:
+            return Estimate(self._pose, self._P)
+        incremental = self._incremental
+        return Estimate(incremental.pose_matrix(), incremental.covariance(pose_key(incremental.k)))
+
+    def trajectory(self) -> Trajectory:
+        """Every pose at the optimum.
+
+        Raises:
+            DivergedError: no convergence, a result that is not finite, chi-square per dof above
+                ``max_chi2_per_dof``, or more than 1 % of what a camera saw is behind it.
+        """
+        solution = self._checked_solution()
+        poses = poses_in(solution.values, len(self._t), self._builder.space_dim)
+        covariances = None
+        if self._final_covariances:
+            covariances = np.array([solution.covariance(pose_key(k)) for k in range(len(poses))])
+        return Trajectory(np.array(self._t), poses, covariances)
+
+    def landmarks(self) -> Landmarks:
+        """Every landmark at the optimum, with its marginal covariance (solves if need be)."""
+        solution, builder = self._checked_solution(), self._builder
+        return builder.map(solution.values, solution.covariance, builder.landmark_ids())
+
+    def joint_covariance(self) -> FloatArray:
+        """At the optimum, of the newest pose and the landmarks in the order of :meth:`landmarks`."""
+        solution, builder = self._checked_solution(), self._builder
+        return builder.joint(len(self._t) - 1, solution.joint_covariance, builder.landmark_ids())
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """``landmarks``, ``dropped`` measurements; once solved also ``chi2, dof, chi2_per_dof, iterations``
+        of the solution, and how many observations are of landmarks ``behind_camera``."""
+        builder = self._builder
+        count = {"landmarks": float(len(builder.known)), "dropped": float(builder.dropped)}
+        if self._solution is None:
+            return count
+        solved = {"iterations": float(self._solution.iterations), "behind_camera": float(self._behind)}
+        return {**count, **builder.goodness(self._solution.chi2), **solved}
+
+    def _pose_in(self, values: Any, k: int) -> Any:
+        return (values.atPose2 if self._builder.space_dim == 2 else values.atPose3)(pose_key(k))
+
+    def _checked_solution(self) -> _Solution:
+        if self._solution is None:
+            self._solve()
+        solution = self._solution
+        assert solution is not None
+        self._require_convergence(solution)
+        poses = poses_in(solution.values, len(self._t), self._builder.space_dim)
+        self._behind = self._builder.require_images(solution.values, poses, "batch")
+        ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
+        if ratio > self._max_chi2_per_dof:
+            raise DivergedError(
+                f"batch: χ²/dof is {ratio:.4g} after {solution.iterations} iterations, above "
+                f"max_chi2_per_dof {self._max_chi2_per_dof:g}: a wrong basin (start from warm_start "
+                "'isam2'), or noise that the covariances do not describe (outliers, wrong associations)"
+            )
+        return solution
+
+    def _solve(self) -> _Solution:
+        initial = self._chain if self._incremental is None else self._incremental.values()
+        k = len(self._t) - 1
+        self._builder.bring_back(initial, poses_in(initial, k + 1, self._builder.space_dim))
+        try:
+            optimizer = self._make_optimizer(initial)
+            values = optimizer.optimize()
+            solution = _Solution(self._graph, values, optimizer.iterations(), k)
+        except RuntimeError as error:
+            raise diverged("batch", k, error) from error
+        require_finite(poses_in(values, k + 1, self._builder.space_dim), "batch", k)
+        require_finite(np.array(solution.chi2), "batch", k)
+        self._solution = solution
+        self._require_convergence(solution)
+        return solution
+
+    def _require_convergence(self, solution: _Solution) -> None:
+        if solution.iterations >= self._max_iterations:
+            ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
+            raise DivergedError(
+                f"batch: no convergence in {solution.iterations} iterations, χ²/dof is {ratio:.4g} so far: "
+                "raise max_iterations, or leave what looks like a wrong basin (start from warm_start 'isam2')"
+            )
+
+    def _make_optimizer(self, initial: Any) -> Any:
+        kinds = {
+            "lm": (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams),
+            "gauss_newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
+            "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
+        }
+        make, make_parameters = kinds[self._optimizer]
+        parameters = make_parameters()
+        parameters.setMaxIterations(self._max_iterations)
+        parameters.setRelativeErrorTol(self._relative_error_tol)
+        parameters.setAbsoluteErrorTol(0.0)
+        return make(self._graph, initial, parameters)
+
+
+class _Solution:
+    """An optimum; its covariances are computed when first asked for."""
+
+    def __init__(self, graph: Any, values: Any, iterations: int, k: int) -> None:
+        self.values = values
+        self.iterations = iterations
+        self.chi2: float = 2.0 * graph.error(values)
+        self._graph = graph
+        self._k = k
+        self._marginals: Any = None
+
+    def covariance(self, key: int) -> FloatArray:
+        covariance: FloatArray = self._get_marginals().marginalCovariance(key)
+        return require_finite(covariance, "batch", self._k)
+
+    def joint_covariance(self, keys: list[int]) -> FloatArray:
+        joint: FloatArray = self._get_marginals().jointMarginalCovariance(keys).fullMatrix()
+        return require_finite(joint, "batch", self._k)
+
+    def _get_marginals(self) -> Any:
+        if self._marginals is None:
+            try:
+                self._marginals = gtsam.Marginals(self._graph, self.values)
+            except RuntimeError as error:
+                raise diverged("batch", self._k, error) from error
+        return self._marginals

@@ -1,0 +1,202 @@
+"""Fixed-lag smoothing: the last poses are estimated together, older ones are marginalised.
+
+========  =====================================================================
+symbol    meaning
+========  =====================================================================
+P         covariance of the newest pose, body tangent, (p, p)
+========  =====================================================================
+
+Dellaert and Kaess 2017, "Factor graphs for robot perception", section 5.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import gtsam
+import numpy as np
+from annotated_types import Ge, Gt
+
+from slamcmp.backends.gtsam_smoothers.factors import landmark_key, pose_key
+from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, RobustKernel, diverged, require_finite
+from slamcmp.backends.gtsam_smoothers.incremental import Factorization, isam2_parameters
+from slamcmp.registry import back_ends
+from slamcmp.types import Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
+
+
+@back_ends.register("fixed_lag")
+class FixedLag:
+    """Smoother over the last ``lag_frames`` frames and the newest one.
+
+    The lag counts frames, not seconds, so that the window's size does not depend on time stamps.
+
+    Args:
+        problem: prior and sensor.
+        lag_frames: a pose leaves the window when it is older than this.
+        mode: ``incremental`` updates a Bayes tree; ``batch`` iterates Levenberg-Marquardt over the window.
+        landmarks: ``keep`` holds every landmark in the window for ever; ``drop`` marginalises one that was
+            not seen for ``lag_frames`` frames, and a later sighting starts a new variable with no memory of
+            it (cost per frame stays flat, old landmarks close no loops). Where one measurement does not
+            place a landmark (a single camera), a later sighting is dropped, and counted.
+        relinearize_threshold: as in ``isam2``; for ``incremental``.
+        relinearize_skip: as in ``isam2``; for ``incremental``.
+        factorization: as in ``isam2``; for ``incremental``. Default: ``cholesky`` with ``keep``, where ``qr``
+            takes ten times as long, and ``qr`` with ``drop``, where the marginalised past becomes so vague
+            beside odometry that ``cholesky`` fails on Victoria Park.
+        extra_updates: further Gauss-Newton steps a frame; for ``incremental``.
+        robust: kernel on the observations' whitened residuals.
+        robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
+
+    Raises:
+        UsageError: prior or odometry covariance is singular.
+        DivergedError: GTSAM failed, or an estimate is not finite; feed no further frames.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        lag_frames: Annotated[int, Ge(1)] = 20,
+        mode: Literal["incremental", "batch"] = "incremental",
+        landmarks: Literal["keep", "drop"] = "keep",
+        relinearize_threshold: Annotated[float, Ge(0)] = 0.1,
+        relinearize_skip: Annotated[int, Ge(1)] = 1,
+        factorization: Factorization | None = None,
+        extra_updates: Annotated[int, Ge(0)] = 0,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
+    ) -> None:
+        self._builder = GraphBuilder(problem, robust=robust, robust_width=robust_width)
+        self._lag = lag_frames
+        self._drop = landmarks == "drop"
+        self._incremental = mode == "incremental"
+        self._extra_updates = extra_updates if self._incremental else 0
+        self._smoother: Any
+        if self._incremental:
+            parameters = isam2_parameters(
+                relinearize_threshold=relinearize_threshold,
+                relinearize_skip=relinearize_skip,
+                factorization=factorization or ("qr" if self._drop else "cholesky"),
+                optimizer="gauss_newton",
+            )
+            # The smoother removes factors, and without reuse its list of them grows for ever.
+            parameters.findUnusedFactorSlots = True
+            self._smoother = gtsam.IncrementalFixedLagSmoother(float(lag_frames), parameters)
+        else:
+            settings = gtsam.LevenbergMarquardtParams()
+            # GTSAM stops at a relative 1e-5 by default, far from the window's optimum.
+            settings.setRelativeErrorTol(1e-10)
+            settings.setAbsoluteErrorTol(0.0)
+            self._smoother = gtsam.BatchFixedLagSmoother(float(lag_frames), settings)
+        planar = self._builder.space_dim == 2
+        self._pose_at = (
+            self._smoother.calculateEstimatePose2 if planar else self._smoother.calculateEstimatePose3
+        )
+        self._pose: Any = None
+        self._marginals: Any = None
+        self._last_seen: dict[int, int] = {}
+        self._left: dict[int, Landmarks] = {}
+        self._left_poses: list[FloatArray] = []
+        self._t: list[float] = []
+
+    def update(self, frame: Frame) -> None:
+        """Add the frame to the window, solve, and marginalise what is older than the lag."""
+        k = frame.k
+        graph, values = self._builder.extend(frame, self._pose)
+        # Those that a camera saw after they had left cannot enter again: they have no variable.
+        seen = [i for i in frame.ids.tolist() if i in self._builder.known]
+        if frame.entries is not None:
+            seen += frame.entries.ids.tolist()
+        for landmark_id in seen:
+            self._last_seen[landmark_id] = k
+        now = float(k)
+        # A variable's time stamp decides when it leaves; kept landmarks are always as new as the frame.
+        stamped = seen if self._drop else self._last_seen
+        stamps = {landmark_key(landmark_id): now for landmark_id in stamped}
+        stamps[pose_key(k)] = now
+        try:
+            self._smoother.update(graph, values, stamps)
+            for _ in range(self._extra_updates):
+                self._smoother.update()
+            self._pose = self._pose_at(pose_key(k))
+        except RuntimeError as error:
+            raise diverged("fixed_lag", k, error) from error
+        self._marginals = None
+        self._t.append(frame.t)
+        if k >= self._lag:
+            self._left_poses.append(self._pose_at(pose_key(k - self._lag)).matrix())
+        if self._drop:
+            self._forget_and_remember(k)
+
+    def estimate(self) -> Estimate:
+        """The newest pose and its marginal covariance."""
+        k = len(self._t) - 1
+        pose = require_finite(self._pose.matrix(), "fixed_lag", k)
+        return Estimate(pose, self._covariance(pose_key(k)))
+
+    def landmarks(self) -> Landmarks:
+        """Every landmark ever seen: those in the window now, the others as they left it."""
+        builder = self._builder
+        ids = builder.landmark_ids()
+        current = builder.map(self._smoother.calculateEstimate(), self._covariance, ids)
+        parts = [current, *(left for i, left in self._left.items() if i not in builder.known)]
+        order = np.argsort(np.concatenate([part.ids for part in parts]))
+        return Landmarks(
+            np.concatenate([part.ids for part in parts])[order],
+            np.concatenate([part.positions for part in parts])[order],
+            np.concatenate([part.covariances for part in parts])[order],
+        )
+
+    def trajectory(self) -> Trajectory:
+        """Fixed-lag smoothed: each pose as it was when it left the window, with ``lag_frames`` of hindsight.
+
+        The poses still in the window have less. Not the optimum of the whole cost, and without covariances.
+
+        Raises:
+            DivergedError: a pose is not finite, or more than 1 % of what the window's cameras saw is behind.
+        """
+        k = len(self._t) - 1
+        first = len(self._left_poses)
+        window = [self._pose_at(pose_key(j)).matrix() for j in range(first, k + 1)]
+        poses = require_finite(np.array(self._left_poses + window), "fixed_lag", k)
+        self._builder.require_images(self._smoother.calculateEstimate(), poses[first:], "fixed_lag")
+        return Trajectory(np.array(self._t), poses)
+
+    def diagnostics(self) -> Mapping[str, float]:
+        """``landmarks`` in the window, its ``variables``, the frame's measurements that were ``dropped``; for
+        ``incremental`` also the last update's work."""
+        known = len(self._builder.known)
+        scalars = {"landmarks": float(known), "variables": float(known + min(len(self._t), self._lag + 1))}
+        scalars["dropped"] = float(self._builder.dropped)
+        if self._incremental:
+            result = self._smoother.getISAM2Result()
+            scalars["relinearized"] = float(result.getVariablesRelinearized())
+            scalars["reeliminated"] = float(result.getVariablesReeliminated())
+        return scalars
+
+    def _covariance(self, key: int) -> FloatArray:
+        k = len(self._t) - 1
+        try:
+            if self._incremental:
+                covariance: FloatArray = self._smoother.marginalCovariance(key)
+            else:
+                if self._marginals is None:
+                    smoother = self._smoother
+                    self._marginals = gtsam.Marginals(smoother.getFactors(), smoother.calculateEstimate())
+                covariance = self._marginals.marginalCovariance(key)
+        except RuntimeError as error:
+            raise diverged("fixed_lag", k, error) from error
+        return require_finite(covariance, "fixed_lag", k)
+
+    def _forget_and_remember(self, k: int) -> None:
+        """Note the landmarks that left just now, and those whose last chance to be read this is."""
+        oldest = k - self._lag
+        for landmark_id in [i for i, seen in self._last_seen.items() if seen < oldest]:
+            del self._last_seen[landmark_id]
+            self._builder.known.discard(landmark_id)
+        leaving = [i for i, seen in self._last_seen.items() if seen == oldest]
+        if leaving:
+            values = self._smoother.calculateEstimate([landmark_key(i) for i in leaving])
+            for landmark_id in leaving:
+                self._left[landmark_id] = self._builder.map(values, self._covariance, [landmark_id])

@@ -1,0 +1,1 @@
+"""The sliding window: own Gauss–Newton and marginalisation."""

@@ -1,0 +1,214 @@
+"""The checks of an experiment file that need the plug-ins' signatures."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import Gt, Lt
+from pydantic import TypeAdapter, ValidationError
+
+from slamcmp.errors import UsageError
+from slamcmp.experiment.config.component import OWN_GATE, REGISTRIES, Choice, swept_target
+from slamcmp.experiment.config.record import Study
+from slamcmp.experiment.config.stop_rule import StopRule
+from slamcmp.registry import Plugin, back_ends, did_you_mean, figures
+from slamcmp.support.config_errors import ConfigErrors
+from slamcmp.support.plugin_models import check_parameters, parameter_model
+from slamcmp.support.yaml_source import KeyPath
+
+Probability = Annotated[float, Gt(0), Lt(1)]
+_PROBABILITY: TypeAdapter[float | None] = TypeAdapter(Probability | None)
+
+
+class Checker:
+    """Collects the mistakes of one file."""
+
+    def __init__(self, errors: ConfigErrors, folder: Path) -> None:
+        self._errors = errors
+        self._folder = folder
+
+    def choice(self, kind: str, section: Mapping[str, Any], path: KeyPath) -> Choice | None:
+        if not section:
+            return None
+        given = dict(section)
+        name = given.pop("name", None)
+        is_back_end = kind == "back end"
+        label = given.pop("label", None) if is_back_end else None
+        own_gate = given.pop(OWN_GATE, None) if is_back_end else None
+        if not isinstance(name, str):
+            what = "key 'name' is missing" if name is None else f"name: a {kind}'s name, not {name!r}"
+            self._errors.add(path if name is None else (*path, "name"), what)
+            return None
+        if label is not None and (not isinstance(label, str) or not label):
+            self._errors.add((*path, "label"), f"label: a text that is not empty, not {label!r}")
+            return None
+        spec = name
+        if ".py:" in name:
+            file, _, attribute = name.rpartition(":")
+            spec = f"{(self._folder / Path(file).expanduser()).resolve()}:{attribute}"
+        try:
+            plugin = REGISTRIES[kind].get(spec)
+            model = parameter_model(plugin)
+        except UsageError as error:
+            self._errors.add((*path, "name"), str(error))
+            return None
+        default_label = name.rpartition(":")[2] if ".py:" in name else name
+        try:
+            parameters = check_parameters(plugin, given)
+        except ValidationError as error:
+            reserved = ["name", "label", OWN_GATE] if is_back_end else ["name"]
+            known: dict[KeyPath, Any] = {path: [*model.model_fields, *reserved]}
+            self._errors.add_pydantic(error.errors(), path, known)
+            parameters = {}
+        if not self._gate(plugin, own_gate, (*path, OWN_GATE)):
+            own_gate = None
+        if own_gate is not None:
+            default_label += ", own gate"
+        return Choice(kind, plugin.name, spec, parameters, label or default_label, self._folder, own_gate)
+
+    def _gate(self, plugin: Plugin, value: Any, path: KeyPath) -> bool:
+        """Whether the back end can have a gate of its own of this probability."""
+        try:
+            _PROBABILITY.validate_python(value, strict=True)
+        except ValidationError as error:
+            self._errors.add_pydantic(error.errors(), path, {})
+            return False
+        if value is None or _tells_its_covariance(plugin):
+            return True
+        able = ", ".join(each.name for each in back_ends if _tells_its_covariance(each))
+        self._errors.add(
+            path,
+            f"{OWN_GATE}: back end {plugin.name!r} has no joint_covariance(), which its own gate needs to "
+            f"predict innovations; leave {OWN_GATE} out and gate in the front end, or take one of: {able}",
+        )
+        return False
+
+    def labels(self, chosen: Sequence[Choice | None]) -> None:
+        first: dict[str, int] = {}
+        for index, choice in enumerate(chosen):
+            if choice is None:
+                continue
+            if choice.label in first:
+                self._errors.add(
+                    ("back_ends", index),
+                    f"label {choice.label!r} is taken by back end {first[choice.label] + 1}; "
+                    "give one of them another 'label:'",
+                )
+            first.setdefault(choice.label, index)
+
+    def sweep(
+        self,
+        swept: Mapping[str, Any],
+        source: Choice | None,
+        front_end: Choice | None,
+        chosen: Sequence[Choice | None],
+    ) -> None:
+        by_label = {choice.label: choice for choice in chosen if choice is not None}
+        sections = {"source": source, "front_end": front_end}
+        for path, values in swept.items():
+            section, label, parameter = swept_target(path)
+            if section == "back_ends":
+                target = by_label.get(label)
+                if target is None:
+                    if None not in chosen:
+                        what = f"sweep: no back end has the label {label!r}{did_you_mean(label, by_label)}"
+                        self._errors.add(("sweep", path), what, key=True)
+                    continue
+            elif section in sections and not label:
+                target = sections[section]
+            else:
+                self._errors.add(
+                    ("sweep", path),
+                    f"sweep: {path!r} is not a path: source.PARAMETER, front_end.PARAMETER or "
+                    "back_ends.LABEL.PARAMETER is needed",
+                    key=True,
+                )
+                continue
+            if target is not None:
+                self._swept_values(path, parameter, values, target)
+
+    def _swept_values(self, path: str, parameter: str, values: Any, target: Choice) -> None:
+        plugin = target.plugin()
+        if parameter == OWN_GATE and target.kind == "back end":
+            for index, value in enumerate(values):
+                self._gate(plugin, value, ("sweep", path, index))
+            self._no_value_twice(path, values)
+            return
+        names = list(parameter_model(plugin).model_fields)
+        if parameter not in names:
+            what = f"sweep: {target.kind} {target.name!r} has no parameter {parameter!r}"
+            self._errors.add(("sweep", path), what + did_you_mean(parameter, names), key=True)
+            return
+        for index, value in enumerate(values):
+            try:
+                check_parameters(plugin, {**target.parameters, parameter: value})
+            except ValidationError as error:
+                for details in error.errors():
+                    if details["loc"][:1] == (parameter,):
+                        renamed = {**details, "loc": ()}
+                        self._errors.add_pydantic([renamed], ("sweep", path, index), {})  # type: ignore[list-item]
+        self._no_value_twice(path, values)
+
+    def _no_value_twice(self, path: str, values: Any) -> None:
+        texts = [json.dumps(value, default=str) for value in values]
+        for index, text in enumerate(texts):
+            if text in texts[:index]:
+                self._errors.add(("sweep", path, index), f"sweep: {text} stands twice")
+
+    def seeds(self, given: int | list[int], source: Choice | None) -> tuple[int | None, ...]:
+        seeds = tuple(range(given)) if isinstance(given, int) else tuple(given)
+        for index, seed in enumerate(seeds):
+            if seed in seeds[:index]:
+                self._errors.add(("seeds", index), f"seeds: {seed} stands twice")
+        if source is not None and not source.plugin().traits.get("seeded", True):
+            if len(seeds) > 1:
+                self._errors.add(
+                    ("seeds",),
+                    f"seeds: source {source.name!r} is recorded data: it takes no seed; leave it out",
+                )
+            return (None,)
+        return seeds
+
+    def until(self, rule: StopRule, seeds: Sequence[int | None], back_ends: int) -> None:
+        # It loads every metric; most experiments do not need it.
+        from slamcmp.metrics import metric_columns
+        from slamcmp.metrics.information import KL
+
+        known = metric_columns()
+        if rule.metric not in known:
+            what = f"until: there is no metric {rule.metric!r}{did_you_mean(rule.metric, known)}"
+            self._errors.add(("until", "metric"), what)
+        elif rule.metric.startswith(KL):
+            what = f"until: {rule.metric!r} is only known when all runs are compared; choose another metric"
+            self._errors.add(("until", "metric"), what)
+        if seeds == (None,):
+            self._errors.add(("until",), "until: the source is recorded data: it has no seeds to add")
+        elif rule.max_seeds < len(seeds):
+            self._errors.add(
+                ("until", "max_seeds"),
+                f"until: max_seeds is {rule.max_seeds}, fewer than the {len(seeds)} seeds to begin with",
+            )
+        if rule.of == "difference" and back_ends < 2:
+            self._errors.add(("until", "of"), "until: a difference needs at least two back ends")
+
+    def study(self, study: Study, labels: Sequence[str]) -> None:
+        label = study.divergence_from
+        if label is not None and label not in labels:
+            what = f"study: no back end has the label {label!r}{did_you_mean(label, labels)}"
+            self._errors.add(("study", "divergence_from"), what)
+
+    def figures(self, names: Sequence[str]) -> None:
+        for index, name in enumerate(names):
+            if name not in figures:
+                known = did_you_mean(name, figures.names())
+                self._errors.add(("figures", index), f"unknown figure {name!r}{known}")
+
+
+def _tells_its_covariance(plugin: Plugin) -> bool:
+    """What is no class may make anything: it is asked when it has."""
+    methods = ("landmarks", "joint_covariance")
+    return not inspect.isclass(plugin.target) or all(hasattr(plugin.target, name) for name in methods)

@@ -1,0 +1,60 @@
+"""The JSON Schema of experiment files, with every registered plug-in's parameters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slamcmp.experiment.config.component import OWN_GATE
+from slamcmp.experiment.config.experiment import ExperimentFields
+from slamcmp.registry import Plugin, Registry, back_ends, figures, front_ends, sources
+from slamcmp.support.plugin_models import parameter_model
+
+PROBABILITY_SCHEMA = {
+    "type": ["number", "null"],
+    "exclusiveMinimum": 0,
+    "exclusiveMaximum": 1,
+    "description": "Gate this back end's own copy of the stream by its own covariance, with this probability",
+}
+
+
+def experiment_schema() -> dict[str, Any]:
+    """A schema (draft 2020-12) with which an editor completes and checks experiment files."""
+    schema = ExperimentFields.model_json_schema()
+    definitions = schema.setdefault("$defs", {})
+    properties = schema["properties"]
+    front_end_default = properties["front_end"].get("default")
+    properties["source"] = _choices(sources, definitions)
+    properties["front_end"] = {**_choices(front_ends, definitions), "default": front_end_default}
+    properties["back_ends"]["items"] = _choices(back_ends, definitions, back_end=True)
+    properties["figures"] = {"type": ["array", "null"], "items": {"enum": figures.names()}}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "slamcmp experiment",
+        "description": "One question, one source, one front end, several back ends.",
+    }
+
+
+def _choices(registry: Registry, definitions: dict[str, Any], *, back_end: bool = False) -> dict[str, Any]:
+    """Any registered plug-in with its own parameters, or one from the user's file with any."""
+    own_file = {
+        "type": "object",
+        "required": ["name"],
+        "properties": {"name": {"type": "string", "pattern": r"\.py:\w+$"}},
+    }
+    options = [_plugin_schema(plugin, definitions, back_end) for plugin in registry]
+    return {"anyOf": [*options, own_file], "description": f"A {registry.kind}: name and parameters"}
+
+
+def _plugin_schema(plugin: Plugin, definitions: dict[str, Any], back_end: bool) -> dict[str, Any]:
+    schema = parameter_model(plugin).model_json_schema()
+    definitions.update(schema.pop("$defs", {}))
+    extra = {"label": {"type": "string", "minLength": 1}, OWN_GATE: PROBABILITY_SCHEMA} if back_end else {}
+    properties = {"name": {"const": plugin.name}, **extra, **schema.get("properties", {})}
+    return {
+        **schema,
+        "title": plugin.name,
+        "description": plugin.summary,
+        "required": ["name", *schema.get("required", [])],
+        "properties": properties,
+    }

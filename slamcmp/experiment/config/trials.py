@@ -1,0 +1,78 @@
+"""Grid × seeds: the trials of an experiment, and the jobs they need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from slamcmp.experiment.config.component import Choice, swept_target
+from slamcmp.experiment.config.experiment import Experiment, grid
+from slamcmp.experiment.config.record import Study
+from slamcmp.experiment.content_key import run_key, stream_key
+
+
+@dataclass(frozen=True)
+class StreamJob:
+    """Make the measurement stream of a trial, and put its truth aside."""
+
+    key: str
+    source: Choice
+    front_end: Choice
+    seed: int | None
+
+
+@dataclass(frozen=True)
+class RunJob:
+    """Run one back end over the stream of a trial."""
+
+    key: str
+    stream_key: str
+    back_end: Choice
+    seed: int | None
+    time_limit_s: float
+    memory_limit_mb: float | None
+    study: Study | None = None
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One grid point with one seed: one stream, and a run of each back end on it."""
+
+    number: int
+    seed: int | None
+    swept: Mapping[str, Any]
+    stream: StreamJob
+    runs: tuple[RunJob, ...]
+
+
+def make_trials(experiment: Experiment) -> list[Trial]:
+    """Every trial, grid points in the order of the file and seeds innermost."""
+    trials: list[Trial] = []
+    for swept in grid(experiment):
+        source, front_end, back_ends = _apply(experiment, swept)
+        for seed in experiment.seeds:
+            stream = StreamJob(stream_key(source, front_end, seed), source, front_end, seed)
+            limits = experiment.time_limit_s, experiment.memory_limit_mb
+            study = experiment.study
+            recording = None if study is None else study.recording()
+            runs = tuple(
+                RunJob(run_key(stream.key, each, *limits, recording), stream.key, each, seed, *limits, study)
+                for each in back_ends
+            )
+            trials.append(Trial(len(trials), seed, swept, stream, runs))
+    return trials
+
+
+def _apply(experiment: Experiment, swept: Mapping[str, Any]) -> tuple[Choice, Choice, list[Choice]]:
+    source, front_end = experiment.source, experiment.front_end
+    back_ends = {choice.label: choice for choice in experiment.back_ends}
+    for path, value in swept.items():
+        section, label, parameter = swept_target(path)
+        if section == "source":
+            source = source.with_parameter(parameter, value)
+        elif section == "front_end":
+            front_end = front_end.with_parameter(parameter, value)
+        else:
+            back_ends[label] = back_ends[label].with_parameter(parameter, value)
+    return source, front_end, list(back_ends.values())

@@ -1,0 +1,19 @@
+"""Imported once by the server that workers are forked from: everything a job may need."""
+
+from __future__ import annotations
+
+import gc
+
+import slamcmp.experiment.job.worker  # noqa: F401
+from slamcmp.experiment.content_key import versions
+from slamcmp.registry import back_ends, front_ends, metrics, sources
+from slamcmp.support.plugin_models import parameter_model
+
+metrics.names()
+# Made here once instead of in every job: half of what a job cost beside its back end.
+for _registry in (sources, front_ends, back_ends):
+    for _plugin in _registry:
+        parameter_model(_plugin)
+versions()
+# What a collection in a worker would touch, it would have to copy.
+gc.freeze()

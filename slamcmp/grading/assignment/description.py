@@ -1,0 +1,303 @@
+"""An assignment's folder: what to hand in, which tests there are, the solution, and known mistakes.
+
+``assignment.yaml`` names the tests, ``cases.py`` makes their data, ``solution/`` holds the reference,
+``mutants.yaml`` known mistakes as replacements in it, each with the message a student gets who makes it.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import json
+import sys
+import sysconfig
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from slamcmp.errors import MissingDataError, UsageError
+from slamcmp.grading.results.outcome import Visibility
+from slamcmp.grading.sandbox.policy import Policy
+from slamcmp.registry import Plugin, did_you_mean, test_kinds
+from slamcmp.support.config_errors import ConfigErrors
+from slamcmp.support.plugin_models import bind_parameters, parameter_model
+from slamcmp.support.yaml_source import KeyPath, YamlSource, load_yaml
+
+_CHECKOUT = Path(__file__).resolve().parents[3] / "experiments" / "assignments"
+_INSTALLED = Path(sysconfig.get_path("data"), "share", "slamcmp", "experiments", "assignments")
+SHIPPED = _CHECKOUT if _CHECKOUT.is_dir() else _INSTALLED
+
+
+class LimitFields(BaseModel):
+    """What a submission may use."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    memory_mb: float = Field(2048, ge=256, description="Address space of the submission's process")
+    load_s: float = Field(10, gt=0, description="Time to import the submission")
+    request_s: float = Field(5, gt=0, description="Time for one call or frame")
+    test_s: float = Field(60, gt=0, description="Time for one test")
+
+
+class TestFields(BaseModel):
+    """The keys that every test has; all others are parameters of its kind."""
+
+    __test__ = False
+    model_config = ConfigDict(extra="forbid")
+
+    name: str = Field(min_length=1)
+    kind: str
+    points: float = Field(gt=0)
+    visibility: Visibility = "visible"
+    after: str | None = Field(None, description="Run only once that test has earned half of its points")
+    hint: str = Field("", description="For the student, where marks are lost and no cause is recognised")
+
+
+class AssignmentFields(BaseModel):
+    """The keys of ``assignment.yaml``."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: str
+    entry: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.py$", description="File to hand in")
+    functions: list[str] = Field(min_length=1, description="Functions and classes that it defines")
+    packages: list[str] = Field(["numpy", "scipy"], description="What it may import")
+    modules: list[str] = Field(["slamcmp.models.sensors"], description="Parts of slamcmp it may import")
+    limits: LimitFields = LimitFields.model_construct()
+    tests: list[dict[str, Any]] = Field(min_length=1)
+
+
+class MutantFields(BaseModel):
+    """One known mistake: text of the solution replaced by other text."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str
+    old: str
+    new: str
+    message: str = Field(
+        description="For the student; {yours}, {expected}, {call} and {function} are filled in"
+    )
+
+
+class MutantsFields(BaseModel):
+    """The keys of ``mutants.yaml``."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    mutants: list[MutantFields] = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class TestSpec:
+    """One test of an assignment."""
+
+    __test__ = False
+
+    fields: TestFields
+    plugin: Plugin
+    parameters: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A known mistake."""
+
+    name: str
+    source: str
+    """The whole solution with the mistake."""
+    message: str
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """A checked assignment; the modules in it are the course's own and run in the grader's process."""
+
+    folder: Path
+    fields: AssignmentFields
+    tests: tuple[TestSpec, ...]
+    mutants: tuple[Mutant, ...]
+    solution_source: str
+    digest: str
+    """sha256 (hex) of everything in the folder."""
+
+    @property
+    def name(self) -> str:
+        """The folder's."""
+        return self.folder.name
+
+    @property
+    def policy(self) -> Policy:
+        """Limits of a submission's process."""
+        limits = self.fields.limits
+        return Policy(
+            packages=tuple(self.fields.packages),
+            modules=tuple(self.fields.modules),
+            memory_bytes=int(limits.memory_mb) << 20,
+            cpu_s=limits.test_s + 10,
+            load_s=limits.load_s,
+            request_s=limits.request_s,
+        )
+
+    @functools.cached_property
+    def cases(self) -> ModuleType:
+        """``cases.py``, imported."""
+        path = self.folder / "cases.py"
+        return load_source(f"slamcmp_cases_{self.name}", path.read_text(encoding="utf-8"), path)
+
+    def solution(self) -> ModuleType:
+        """The solution as a new module, with no state left by earlier tests."""
+        return load_source(f"slamcmp_solution_{self.name}", self.solution_source, self.folder / "solution")
+
+    def mutated(self, mutant: Mutant) -> ModuleType:
+        """The solution with a known mistake, as a new module."""
+        return load_source(
+            f"slamcmp_mutant_{self.name}", mutant.source, self.folder / f"mutant {mutant.name}"
+        )
+
+
+def find_assignment(name: str | Path) -> Path:
+    """The folder of an assignment: a path, or the name of a shipped one.
+
+    Raises:
+        MissingDataError: there is neither; the message lists the shipped ones.
+    """
+    for folder in (Path(name), SHIPPED / name):
+        if (folder / "assignment.yaml").is_file():
+            return folder.resolve()
+    shipped = [path.parent.name for path in SHIPPED.glob("*/assignment.yaml")]
+    raise MissingDataError(
+        f"assignment {str(name)!r}: there is no {name}/assignment.yaml{did_you_mean(str(name), shipped)}"
+    )
+
+
+def load_assignment(folder: Path) -> Assignment:
+    """Read and check an assignment.
+
+    Raises:
+        MissingDataError: a file is missing.
+        ConfigError: a file has mistakes; the message lists all of them with line and column.
+        UsageError: the solution does not fit the assignment.
+    """
+    folder = find_assignment(folder)
+    source = load_yaml(folder / "assignment.yaml")
+    fields, tests = _checked_tests(source)
+    solution_path = folder / "solution" / "solution.py"
+    for path in (solution_path, folder / "cases.py"):
+        if not path.is_file():
+            raise MissingDataError(f"{path}: no such file; an assignment needs it")
+    solution = solution_path.read_text(encoding="utf-8")
+    mutants_path = folder / "mutants.yaml"
+    mutants = _checked_mutants(load_yaml(mutants_path), solution) if mutants_path.is_file() else ()
+    return Assignment(folder, fields, tests, mutants, solution, _digest(folder))
+
+
+def missing_functions(assignment: Assignment, source: bytes) -> tuple[str, ...]:
+    """Of the functions asked for, those that a submission's entry file does not define or import."""
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):
+        return ()
+    bound = {
+        getattr(node, "asname", None) or getattr(node, "name", None) or getattr(node, "id", None)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.alias | ast.Name)
+    }
+    if "*" in bound:
+        return ()
+    return tuple(name for name in assignment.fields.functions if name not in bound)
+
+
+def load_source(name: str, source: str, path: Path) -> ModuleType:
+    """A new module from text of the course's own; ``path`` stands in tracebacks.
+
+    Raises:
+        UsageError: it does not import.
+    """
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    # Dataclasses look their module up by its name.
+    sys.modules[name] = module
+    try:
+        exec(compile(source, str(path), "exec"), module.__dict__)
+    except Exception as error:
+        raise UsageError(f"{path}: does not import: {error!r}") from error
+    return module
+
+
+def _checked_tests(source: YamlSource) -> tuple[AssignmentFields, tuple[TestSpec, ...]]:
+    errors = ConfigErrors(source)
+    try:
+        fields = AssignmentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
+    except ValidationError as error:
+        known: dict[KeyPath, Any] = {
+            (): AssignmentFields.model_fields,
+            ("limits",): LimitFields.model_fields,
+        }
+        errors.add_pydantic(error.errors(), (), known)
+        errors.raise_if_any()
+        raise
+    tests = []
+    names: set[str] = set()
+    for index, given in enumerate(fields.tests):
+        place: KeyPath = ("tests", index)
+        common = {key: value for key, value in given.items() if key in TestFields.model_fields}
+        own = {key: value for key, value in given.items() if key not in common}
+        try:
+            test = TestFields.model_validate_json(json.dumps(common), strict=True)
+        except ValidationError as error:
+            errors.add_pydantic(error.errors(), place, {place: TestFields.model_fields})
+            continue
+        if test.name in names:
+            errors.add((*place, "name"), f"a test called {test.name!r} stands above already")
+        if test.after is not None and test.after not in names:
+            errors.add((*place, "after"), f"no test above has this name{did_you_mean(test.after, names)}")
+        names.add(test.name)
+        if test.kind not in test_kinds:
+            what = f"unknown kind of test {test.kind!r}{did_you_mean(test.kind, test_kinds.names())}"
+            errors.add((*place, "kind"), what)
+            continue
+        plugin = test_kinds.get(test.kind)
+        try:
+            tests.append(TestSpec(test, plugin, bind_parameters(plugin, own)))
+        except ValidationError as error:
+            keys = (*TestFields.model_fields, *parameter_model(plugin).model_fields)
+            errors.add_pydantic(error.errors(), place, {place: keys})
+    errors.raise_if_any()
+    return fields, tuple(tests)
+
+
+def _checked_mutants(source: YamlSource, solution: str) -> tuple[Mutant, ...]:
+    errors = ConfigErrors(source)
+    try:
+        given = MutantsFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
+    except ValidationError as error:
+        places: dict[KeyPath, Any] = {(): MutantsFields.model_fields}
+        places |= {("mutants", index): MutantFields.model_fields for index in range(1000)}
+        errors.add_pydantic(error.errors(), (), places)
+        errors.raise_if_any()
+        raise
+    mutants = []
+    for index, mutant in enumerate(given.mutants):
+        count = solution.count(mutant.old)
+        if count != 1:
+            what = f"stands {count} times in solution.py; a mutant replaces what stands there once"
+            errors.add(("mutants", index, "old"), what)
+        mutants.append(Mutant(mutant.name, solution.replace(mutant.old, mutant.new), mutant.message))
+    errors.raise_if_any()
+    return tuple(mutants)
+
+
+def _digest(folder: Path) -> str:
+    hasher = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            content = path.read_bytes()
+            name = path.relative_to(folder).as_posix().encode()
+            hasher.update(b"%d:%s%d:" % (len(name), name, len(content)) + content)
+    return hasher.hexdigest()

@@ -1,0 +1,1 @@
+"""Grades and the formats they leave in."""

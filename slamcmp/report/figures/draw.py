@@ -1,0 +1,117 @@
+"""Draw the registered figures of a results folder and write them as files."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import pandas as pd
+from matplotlib.figure import Figure
+
+from slamcmp.experiment.job.run_back_end import describe
+from slamcmp.registry import figures
+from slamcmp.report.figures import style
+from slamcmp.results.grid import NotDrawable
+from slamcmp.results.store import Results
+from slamcmp.support.atomic import write_atomically
+
+ORDER = ("map", "errors", "consistency", "observability", "kl_from_batch", "time", "budget", "sweep")
+"""How a report reads; figures that are not named here follow in alphabetical order."""
+DPI = 150
+
+
+class FigureFiles(list[Path]):
+    """The files written; ``skipped`` maps each figure that was not drawn to the reason."""
+
+    def __init__(self, paths: Sequence[Path] = (), skipped: dict[str, str] | None = None) -> None:
+        super().__init__(paths)
+        self.skipped = skipped or {}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One figure, or the reason why there is none."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure | None
+    reason: str = ""
+    table: pd.DataFrame | None = None
+    """The figure's numbers, where it has a table of them."""
+
+
+def draw_figures(
+    results: Results,
+    names: Sequence[str] | None,
+    folder: Path,
+    formats: Sequence[str] = ("png", "svg"),
+) -> FigureFiles:
+    """Write the named figures (None: all) to ``folder`` as NAME.FORMAT; the same results give the same bytes.
+
+    A figure whose inputs are missing is not written; the returned list's ``skipped`` says why.
+
+    Raises:
+        UsageError: a name is not a registered figure.
+        StorageError: the disk is full or the folder cannot be written.
+    """
+    folder = Path(folder)
+    files = FigureFiles()
+    for drawn in each_figure(results, names):
+        if drawn.figure is None:
+            files.skipped[drawn.name] = drawn.reason
+            continue
+        for file_format in formats:
+            path = folder / f"{drawn.name}.{file_format}"
+            try:
+                content = figure_bytes(drawn.figure, file_format)
+            except Exception as error:
+                files.skipped[drawn.name] = fault_text(error)
+                continue
+            write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
+            files.append(path)
+    return files
+
+
+def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterator[Drawn]:
+    """Draw one figure after the other, in reading order.
+
+    Raises:
+        UsageError: a name is not a registered figure.
+    """
+    if names is None:
+        known = figures.names()
+        names = [name for name in ORDER if name in known] + [name for name in known if name not in ORDER]
+    for plugin in [figures.get(name) for name in names]:
+        title, caption = plugin.traits.get("title", plugin.name), plugin.traits.get("caption", plugin.summary)
+        with matplotlib.rc_context(style.RC):
+            try:
+                figure = plugin.target(results)
+                make_table = plugin.traits.get("table")
+                table = None if make_table is None else make_table(results)
+                drawn = Drawn(plugin.name, title, caption, figure, table=table)
+            except NotDrawable as reason:
+                drawn = Drawn(plugin.name, title, caption, None, str(reason))
+            except Exception as error:
+                # One figure's mistake must cost neither the others nor the tables.
+                drawn = Drawn(plugin.name, title, caption, None, fault_text(error))
+        yield drawn
+
+
+def fault_text(error: Exception) -> str:
+    """Why a figure that has its inputs is not there."""
+    return f"drawing it failed: {describe(error)}"
+
+
+def figure_bytes(figure: Figure, file_format: str) -> bytes:
+    """The figure as PNG (150 dpi) or SVG, without the date and with fixed identifiers."""
+    # The two writers name the time of writing differently, and neither belongs in a reproducible file.
+    metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(file_format, {})
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(style.RC):
+        figure.savefig(buffer, format=file_format, dpi=DPI, metadata=metadata)
+    return buffer.getvalue()

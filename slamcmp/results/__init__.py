@@ -1,0 +1,1 @@
+"""The stored tables of an experiment, and what is read out of them."""

@@ -1,0 +1,120 @@
+"""Which rows of the results a figure or table shows: back ends, grid points, representative trials."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from slamcmp.results.store import Results
+
+
+class NotDrawable(Exception):
+    """A figure's inputs are not in these results; the message says which and why."""
+
+
+def labels(results: Results) -> list[str]:
+    """Labels of the back ends, in the order of the trials table."""
+    return [str(label) for label in results.trials["label"].unique()]
+
+
+def swept_columns(trials: pd.DataFrame) -> list[str]:
+    """The key columns that name a swept path of the configuration (``source.range_sigma_m``)."""
+    return [str(column) for column in trials.columns if "." in str(column)]
+
+
+def grid_points(trials: pd.DataFrame) -> list[dict[str, Any]]:
+    """The distinct combinations of swept values, in the table's order; ``[{}]`` without a sweep."""
+    swept = swept_columns(trials)
+    if not swept:
+        return [{}]
+    return [
+        {str(path): value for path, value in row.items()}
+        for row in trials[swept].drop_duplicates().to_dict("records")
+    ]
+
+
+def at_point(table: pd.DataFrame, point: Mapping[str, Any]) -> pd.DataFrame:
+    """The rows of one grid point; paths the table does not have are ignored."""
+    chosen = pd.Series(True, index=table.index)
+    for path, value in point.items():
+        if path in table.columns:
+            column = table[path]
+            chosen &= column.isna() if value is None or value != value else column == value
+    return table[chosen]
+
+
+def middle_point(results: Results) -> dict[str, Any]:
+    """The grid point in the middle of the sweep, preferring one whose runs are not all failed."""
+    points = grid_points(results.trials)
+    ok = [p for p in points if (at_point(results.trials, p)["status"] == "ok").any()] or points
+    return ok[len(ok) // 2]
+
+
+def typical_trial(results: Results) -> int:
+    """The trial with the median online error among those of the middle grid point where every run is ok.
+
+    Raises:
+        NotDrawable: there is no trial.
+    """
+    trials = at_point(results.trials, middle_point(results))
+    if trials.empty:
+        raise NotDrawable("the results hold no trial")
+    all_ok = (trials["status"] == "ok").groupby(trials["trial"]).all()
+    candidates = trials[trials["trial"].isin(all_ok.index[all_ok])]
+    if candidates.empty:
+        ok = trials[trials["status"] == "ok"]
+        candidates = ok if not ok.empty else trials
+    if "online_ate" not in candidates or candidates["online_ate"].isna().all():
+        return int(candidates["trial"].iloc[0])
+    errors = candidates.groupby("trial")["online_ate"].mean().sort_values(kind="stable")
+    return int(errors.index[(len(errors) - 1) // 2])
+
+
+def trial_name(results: Results, trial: int) -> str:
+    """``trial 3 (seed 4, source.range_sigma_m = 0.1)``."""
+    row = results.trials[results.trials["trial"] == trial].iloc[0]
+    parts = [] if pd.isna(row["seed"]) else [f"seed {int(row['seed'])}"]
+    parts += [f"{path} = {value_text(row[path])}" for path in swept_columns(results.trials)]
+    return f"trial {trial}" + (f" ({', '.join(parts)})" if parts else "")
+
+
+def point_name(point: Mapping[str, Any]) -> str:
+    """``source.range_sigma_m = 0.1``; empty without a sweep."""
+    return ", ".join(f"{path} = {value_text(value)}" for path, value in point.items())
+
+
+def value_text(value: Any) -> str:
+    """A swept value as a reader writes it; a missing one stands for the configuration's null."""
+    if value is None or value != value:
+        return "none"
+    if isinstance(value, float | np.floating):
+        return f"{float(value):g}"
+    return str(value)
+
+
+def reference_name(results: Results) -> str:
+    """``truth``, ``LABEL (final)``, or ``none``."""
+    names = [str(name) for name in results.trials["reference"].dropna().unique() if name != "none"]
+    return names[0] if names else "none"
+
+
+def rows_of(table: pd.DataFrame, trial: int, label: str) -> pd.DataFrame:
+    """The rows of one run."""
+    if table.empty:
+        return table
+    return table[(table["trial"] == trial) & (table["label"] == label)]
+
+
+def has_values(table: pd.DataFrame, columns: Sequence[str]) -> bool:
+    """Whether every one of the columns exists and has a value somewhere."""
+    return all(column in table.columns and bool(table[column].notna().any()) for column in columns)
+
+
+def milliseconds_per_frame(trials: pd.DataFrame, *times: str) -> pd.Series[float]:
+    """Sum of the named times [s] of each run over its finished frames, in ms; NaN where one was not taken."""
+    finished = (trials["frames"] * trials["completion"]).where(lambda count: count > 0)
+    total: pd.Series[float] = trials[list(times)].sum(axis=1, skipna=False) / finished * 1e3
+    return total

@@ -1,0 +1,240 @@
+"""How many seeds a difference between two back ends needs, from the seeds that a pilot has run.
+
+========  ==================================================================
+symbol    meaning (Cohen 1988, ch. 2; Bar-Shalom, Li and Kirubarajan 2001, sec. 1.5)
+========  ==================================================================
+delta     difference of the means that shall be seen
+s_d       standard deviation of the paired differences
+s_a, s_b  standard deviations of the two back ends over the seeds
+n         seeds: ((z_alpha + z_power) s_d / delta)² + z_alpha² / 2 for pairs,
+          (z_alpha + z_power)² (s_a² + s_b²) / delta² + z_alpha² / 4 a back
+          end without pairs; the last terms stand for Student's t (Guenther 1981)
+========  ==================================================================
+
+The simulation draws seeds from the pilot with replacement, moves their mean difference to delta and counts
+how often Student's (paired) or Welch's (unpaired) test sees it: it keeps the pilot's skewness and outliers,
+but cannot know worse runs than the pilot had.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy.special import chdtri, ndtri, stdtrit
+
+from slamcmp.errors import DataError, UsageError
+from slamcmp.registry import did_you_mean
+from slamcmp.results.store import Results
+from slamcmp.types import FloatArray
+
+FEWEST_PAIRS = 5
+"""A pilot below that does not know its own spread to a factor of three."""
+SIMULATIONS = 2000
+MOST_SIMULATED = 2000
+"""Above it the normal approximation stands alone: resampling is slow there, and the normal limit good."""
+PILOT_SHARE = 0.8
+"""Of the two-sided interval for the number of seeds that the pilot's own uncertainty leaves."""
+
+
+@dataclass(frozen=True)
+class SeedPlan:
+    """What a pilot says about the seeds that one comparison needs."""
+
+    point: dict[str, Any]
+    """Swept values."""
+    back_end: str
+    compared_with: str
+    pairs: int
+    """Seeds of the pilot that both finished."""
+    lost: int
+    """Seeds of the pilot that one of them did not finish."""
+    mean_difference: float
+    """In the pilot."""
+    difference: float
+    """That shall be seen, in the metric's unit."""
+    correlation: float
+    """Between the two back ends over the seeds."""
+    paired: int
+    """Seeds needed, normal approximation."""
+    paired_low: int
+    paired_high: int
+    """Between these with 80 % probability, because the pilot knows its spread only so well."""
+    paired_simulated: int
+    unpaired: int
+    """Seeds needed for each back end if the two ran on different seeds."""
+    unpaired_simulated: int
+
+
+def plan_seeds(
+    results: Results,
+    metric: str,
+    difference: float,
+    *,
+    relative: bool = False,
+    power: float = 0.8,
+    alpha: float = 0.05,
+    seed: int = 0,
+) -> list[SeedPlan]:
+    """For each grid point and back end the seeds needed to tell it from the first one.
+
+    Args:
+        results: a pilot.
+        metric: column of its trials table.
+        difference: to be seen, in the metric's unit.
+        relative: ``difference`` is a share of the first back end's mean instead.
+        power: probability of seeing it.
+        alpha: probability of seeing one where there is none, two-sided.
+        seed: of the simulation.
+
+    Raises:
+        UsageError: no such metric, or the difference is not above 0.
+        DataError: no comparison has enough pairs.
+    """
+    trials = results.trials
+    if metric not in trials.columns or not pd.api.types.is_float_dtype(trials[metric]):
+        numeric = [str(name) for name in trials.columns if pd.api.types.is_float_dtype(trials[name])]
+        raise UsageError(f"the pilot has no metric {metric!r}{did_you_mean(metric, numeric)}")
+    labels = [str(label) for label in trials["label"].unique()]
+    swept = [str(name) for name in trials.columns if "." in str(name)]
+    groups: list[tuple[tuple[Any, ...], pd.DataFrame]] = [((), trials)]
+    if swept:
+        groups = list(trials.groupby(swept, sort=False, dropna=False))
+    plans: list[SeedPlan] = []
+    most = 0
+    for values, rows in groups:
+        finished = rows[(rows["status"] == "ok") & rows[metric].notna()]
+        table = finished.pivot(index="trial", columns="label", values=metric)
+        known = [label for label in labels if label in table.columns]
+        for label in known[1:]:
+            pairs = table[[known[0], label]].dropna()
+            most = max(most, len(pairs))
+            if len(pairs) < FEWEST_PAIRS:
+                continue
+            first, other = (pairs[name].to_numpy(dtype=float) for name in (known[0], label))
+            goal = difference * abs(float(first.mean())) if relative else difference
+            if goal <= 0.0:
+                raise UsageError(f"the difference to be seen is {goal:g}: a number above 0 is needed")
+            spread = float((other - first).std(ddof=1))
+            needed = paired_seeds(spread, goal, power, alpha)
+            low, high = _pilot_range(spread, len(pairs), goal, power, alpha)
+            plans.append(
+                SeedPlan(
+                    dict(zip(swept, values, strict=True)),
+                    label,
+                    known[0],
+                    len(pairs),
+                    rows["trial"].nunique() - len(pairs),
+                    float((other - first).mean()),
+                    goal,
+                    _correlation(first, other),
+                    needed,
+                    low,
+                    high,
+                    simulated_paired_seeds(other - first, goal, power, alpha, seed=seed),
+                    unpaired_seeds(float(first.std(ddof=1)), float(other.std(ddof=1)), goal, power, alpha),
+                    simulated_unpaired_seeds(first, other, goal, power, alpha, seed=seed),
+                )
+            )
+    if not plans:
+        raise DataError(
+            f"{results.folder}: no two back ends share {FEWEST_PAIRS} finished seeds with {metric!r} "
+            f"(at most {most}); a pilot of 10 or more seeds and two back ends is needed"
+        )
+    return plans
+
+
+def paired_seeds(spread: float, difference: float, power: float = 0.8, alpha: float = 0.05) -> int:
+    """Seeds for a paired comparison; ``spread`` is the standard deviation of the differences."""
+    z_alpha, z_power = float(ndtri(1.0 - alpha / 2.0)), float(ndtri(power))
+    return _at_least_two(((z_alpha + z_power) * spread / difference) ** 2 + z_alpha**2 / 2.0)
+
+
+def unpaired_seeds(
+    spread_a: float, spread_b: float, difference: float, power: float = 0.8, alpha: float = 0.05
+) -> int:
+    """Seeds for each of two back ends that do not share them."""
+    z_alpha, z_power = float(ndtri(1.0 - alpha / 2.0)), float(ndtri(power))
+    variance = spread_a**2 + spread_b**2
+    return _at_least_two((z_alpha + z_power) ** 2 * variance / difference**2 + z_alpha**2 / 4.0)
+
+
+def simulated_paired_seeds(
+    differences: ArrayLike, difference: float, power: float = 0.8, alpha: float = 0.05, *, seed: int = 0
+) -> int:
+    """Fewest seeds at which the paired t test sees ``difference`` often enough on resampled pairs."""
+    given = np.asarray(differences, dtype=float)
+    centred = given - given.mean() + difference
+
+    def seen(count: int) -> float:
+        rng = np.random.default_rng([seed, count])
+        drawn = centred[rng.integers(given.size, size=(SIMULATIONS, count))]
+        return _share_seen(drawn.mean(axis=1), drawn.var(axis=1, ddof=1) / count, count - 1.0, alpha)
+
+    return _fewest(seen, power, paired_seeds(float(given.std(ddof=1)), difference, power, alpha))
+
+
+def simulated_unpaired_seeds(
+    first: ArrayLike,
+    other: ArrayLike,
+    difference: float,
+    power: float = 0.8,
+    alpha: float = 0.05,
+    *,
+    seed: int = 0,
+) -> int:
+    """Fewest seeds a back end at which Welch's t test sees ``difference`` often enough without pairs."""
+    a, b = (np.asarray(values, dtype=float) for values in (first, other))
+    a, b = a - a.mean(), b - b.mean() + difference
+
+    def seen(count: int) -> float:
+        rng = np.random.default_rng([seed, count])
+        x, y = (each[rng.integers(each.size, size=(SIMULATIONS, count))] for each in (a, b))
+        var_x, var_y = x.var(axis=1, ddof=1) / count, y.var(axis=1, ddof=1) / count
+        with np.errstate(divide="ignore", invalid="ignore"):
+            dof = (var_x + var_y) ** 2 * (count - 1.0) / (var_x**2 + var_y**2)
+        dof = np.where(np.isfinite(dof), dof, count - 1.0)
+        return _share_seen(y.mean(axis=1) - x.mean(axis=1), var_x + var_y, dof, alpha)
+
+    start = unpaired_seeds(float(a.std(ddof=1)), float(b.std(ddof=1)), difference, power, alpha)
+    return _fewest(seen, power, start)
+
+
+def _share_seen(means: FloatArray, variances: FloatArray, dof: Any, alpha: float) -> float:
+    return float(np.mean(np.abs(means) > stdtrit(dof, 1.0 - alpha / 2.0) * np.sqrt(variances)))
+
+
+def _fewest(seen: Callable[[int], float], power: float, start: int) -> int:
+    """The smallest count with enough power, by bisection from the approximation."""
+    if start > MOST_SIMULATED:
+        return start
+    high = max(2, start)
+    while seen(high) < power:
+        high = high + max(1, high // 2)
+    low = 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if seen(middle) >= power else (middle, high)
+    return high
+
+
+def _pilot_range(spread: float, pairs: int, difference: float, power: float, alpha: float) -> tuple[int, int]:
+    """Seeds for the lowest and highest spread that the pilot leaves possible (normal differences)."""
+    tail, dof = (1.0 - PILOT_SHARE) / 2.0, pairs - 1
+    lowest, highest = (spread * math.sqrt(dof / float(chdtri(dof, p))) for p in (tail, 1.0 - tail))
+    return paired_seeds(lowest, difference, power, alpha), paired_seeds(highest, difference, power, alpha)
+
+
+def _correlation(first: FloatArray, other: FloatArray) -> float:
+    if not first.std() or not other.std():
+        return math.nan
+    return float(np.corrcoef(first, other)[0, 1])
+
+
+def _at_least_two(seeds: float) -> int:
+    return max(2, math.ceil(seeds - 1e-9))

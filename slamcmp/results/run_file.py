@@ -1,0 +1,198 @@
+"""Runs and truths as npz files: arrays and a JSON header, no pickle."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from slamcmp.support.atomic import write_atomically
+from slamcmp.types import BoolArray, GroundTruth, Landmarks, Run, Trajectory
+
+RUN_FORMAT = "slamcmp-run-1"
+TRUTH_FORMAT = "slamcmp-truth-1"
+RUN_HEADER = (
+    "back_end",
+    "parameters",
+    "digest",
+    "seed",
+    "frames",
+    "status",
+    "message",
+    "final_s",
+    "final_diagnostics",
+    "peak_memory_mb",
+    "versions",
+)
+SERIES = "diagnostics/"
+Stored = TypeVar("Stored")
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """A run with its scores against the truth."""
+
+    run: Run
+    scores: Mapping[str, float]
+    completion: float
+    """Kept apart from the run's own: of a killed worker only the number of frames is left."""
+
+
+@dataclass(frozen=True)
+class StoredTruth:
+    """What is known about the stream of a stream job, and the truth if its log has one."""
+
+    digest: str
+    frames: int
+    truth: GroundTruth | None
+    """Its ``outliers`` mark the stream's observations, not the log's detections."""
+    front_end: Mapping[str, int]
+    """Totals of the front end's report."""
+    error: tuple[str, str] | None = None
+    """Type and message, where the stream could not be made."""
+    warnings: tuple[str, ...] = ()
+    """Of the log."""
+
+
+def save_run(stored: StoredRun, path: Path) -> None:
+    """Write one run; the joint covariance is not kept (its scores are)."""
+    run = stored.run
+    header = {
+        "format": RUN_FORMAT,
+        **{name: getattr(run, name) for name in RUN_HEADER},
+        "scores": dict(stored.scores),
+        "completion": stored.completion,
+    }
+    arrays: dict[str, Any] = {"update_s": run.update_s, "estimate_s": run.estimate_s}
+    for name, trajectory in (("online", run.online), ("final", run.final)):
+        if trajectory is not None:
+            arrays[f"{name}_t"], arrays[f"{name}_T"] = trajectory.t, trajectory.T_world_body
+            if trajectory.P is not None:
+                arrays[f"{name}_P"] = trajectory.P
+    if run.landmarks is not None:
+        arrays["ids"] = run.landmarks.ids
+        arrays["positions"] = run.landmarks.positions
+        arrays["covariances"] = run.landmarks.covariances
+    if run.kept_observations is not None:
+        arrays |= _joined("kept", run.kept_observations)
+    arrays.update({SERIES + name: column for name, column in run.diagnostics.items()})
+    _save(path, header, arrays)
+
+
+def load_run(path: Path) -> StoredRun | None:
+    """The stored run, or None where there is none that can be read: it has to be computed again."""
+    return _load(path, RUN_FORMAT, _rebuild_run)
+
+
+def relabelled(stored: StoredRun, label: str) -> StoredRun:
+    """The same under the label the experiment now gives the back end: labels are no part of a key."""
+    return replace(stored, run=replace(stored.run, back_end=label))
+
+
+def run_status(path: Path) -> str | None:
+    """The status of a stored run; None where there is none that can be read."""
+    stored = load_run(path)
+    return None if stored is None else stored.run.status
+
+
+def save_truth(stored: StoredTruth, path: Path) -> None:
+    """Write what a stream job found out."""
+    header = {
+        "format": TRUTH_FORMAT,
+        "digest": stored.digest,
+        "frames": stored.frames,
+        "front_end": dict(stored.front_end),
+        "error": stored.error,
+        "warnings": list(stored.warnings),
+    }
+    arrays: dict[str, Any] = {}
+    truth = stored.truth
+    if truth is not None:
+        arrays = {"t": truth.t, "T": truth.T_world_body, "ids": truth.ids, "positions": truth.positions}
+        if truth.outliers is not None:
+            arrays |= _joined("outliers", truth.outliers)
+    _save(path, header, arrays)
+
+
+def load_truth(path: Path) -> StoredTruth | None:
+    """What a stream job found out, or None where there is nothing that can be read."""
+    return _load(path, TRUTH_FORMAT, _rebuild_truth)
+
+
+def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> StoredRun:
+    landmarks = None
+    if "ids" in arrays:
+        landmarks = Landmarks(arrays["ids"], arrays["positions"], arrays["covariances"])
+    online = _trajectory("online", arrays)
+    assert online is not None
+    run = Run(
+        **{name: header[name] for name in RUN_HEADER},
+        online=online,
+        final=_trajectory("final", arrays),
+        update_s=arrays["update_s"],
+        estimate_s=arrays["estimate_s"],
+        landmarks=landmarks,
+        kept_observations=_masks("kept", arrays),
+        diagnostics={
+            name.removeprefix(SERIES): array for name, array in arrays.items() if name.startswith(SERIES)
+        },
+    )
+    return StoredRun(run, header["scores"], header["completion"])
+
+
+def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> StoredTruth:
+    truth = None
+    if "t" in arrays:
+        outliers = _masks("outliers", arrays)
+        truth = GroundTruth(arrays["t"], arrays["T"], arrays["ids"], arrays["positions"], outliers)
+    error = tuple(header["error"]) if header["error"] else None
+    warnings = tuple(header["warnings"])
+    return StoredTruth(header["digest"], header["frames"], truth, header["front_end"], error, warnings)
+
+
+def _trajectory(name: str, arrays: Mapping[str, Any]) -> Trajectory | None:
+    if f"{name}_t" not in arrays:
+        return None
+    return Trajectory(arrays[f"{name}_t"], arrays[f"{name}_T"], arrays.get(f"{name}_P"))
+
+
+def _joined(name: str, masks: Sequence[BoolArray]) -> dict[str, Any]:
+    """Masks of different lengths as two arrays."""
+    sizes = np.array([mask.size for mask in masks], dtype=np.int64)
+    return {name: np.concatenate([np.empty(0, dtype=bool), *masks]), f"{name}_sizes": sizes}
+
+
+def _masks(name: str, arrays: Mapping[str, Any]) -> tuple[BoolArray, ...] | None:
+    if name not in arrays:
+        return None
+    ends = np.cumsum(arrays[f"{name}_sizes"])
+    return tuple(np.split(arrays[name], ends[:-1])) if ends.size else ()
+
+
+def _json(value: Any) -> Any:
+    """Mappings that are not dicts and numpy's scalars, as JSON knows them."""
+    return dict(value) if isinstance(value, Mapping) else float(value)
+
+
+def _save(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
+    text = np.frombuffer(json.dumps(header, default=_json).encode(), dtype=np.uint8)
+    write_atomically(path, lambda file: np.savez(file, header=text, **arrays))
+
+
+def _load(
+    path: Path, expected: str, rebuild: Callable[[Mapping[str, Any], Mapping[str, Any]], Stored]
+) -> Stored | None:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(arrays.pop("header").tobytes())
+        return rebuild(header, arrays) if header["format"] == expected else None
+    except Exception:
+        # A damaged or older file is a result that has to be computed again, not an error; a changed byte
+        # surfaces as whatever zipfile, zlib, numpy or json meet first, up to NotImplementedError (an
+        # unknown compression) and RuntimeError ("encrypted").
+        return None

@@ -1,0 +1,122 @@
+"""The results folder: tables, manifest, and the lock that keeps two runs apart.
+
+``results/NAME/`` holds ``trials.parquet``, ``frames.parquet``, ``landmarks.parquet`` and ``manifest.json``
+for readers; ``runs/`` and ``streams/`` hold what a resumed run reuses, ``logs/`` what back ends printed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow
+
+from slamcmp.errors import DataError, MissingDataError, UsageError
+from slamcmp.support.atomic import storage_error, write_atomically
+
+TABLES = ("trials", "frames", "landmarks")
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What an experiment found."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    trials: pd.DataFrame
+    """One row per trial and back end, failed ones included."""
+    frames: pd.DataFrame
+    """One row per frame and run."""
+    landmarks: pd.DataFrame
+    """One row per landmark and run."""
+
+
+def save_results(results: Results) -> None:
+    """Write the tables, then the manifest; each file is replaced as a whole.
+
+    Raises:
+        StorageError: the folder cannot be written; finished runs in it are not touched.
+        DataError: a column holds what Parquet cannot.
+    """
+    for name in TABLES:
+        table: pd.DataFrame = getattr(results, name)
+        path = results.folder / f"{name}.parquet"
+        try:
+            write_atomically(
+                path,
+                lambda file, table=table: table.to_parquet(file, index=False, compression="zstd"),  # type: ignore[misc]
+            )
+        except (pyarrow.ArrowException, ValueError, TypeError) as error:
+            raise DataError(
+                f"{path}: the table of {name} has a column that Parquet cannot hold ({error}); the runs "
+                f"themselves are kept in {results.folder / 'runs'}"
+            ) from error
+    text = json.dumps(finite(results.manifest), indent=2, default=str, allow_nan=False)
+    write_atomically(results.folder / MANIFEST, lambda file: file.write(text.encode()))
+
+
+def finite(value: Any) -> Any:
+    """JSON has no infinity: as text, like YAML writes it."""
+    if isinstance(value, dict):
+        return {key: finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(each) for each in value]
+    return f"{value}" if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def load_results(folder: Path | str) -> Results:
+    """Read the tables and the manifest of a results folder.
+
+    Raises:
+        MissingDataError: the folder holds no results.
+        DataError: a file in it is damaged.
+    """
+    folder = Path(folder)
+    for name in (MANIFEST, *(f"{table}.parquet" for table in TABLES)):
+        if not (folder / name).is_file():
+            raise MissingDataError(f"{folder}: no results here ({name} is missing); 'slamcmp run' makes them")
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text())
+        tables = {name: pd.read_parquet(folder / f"{name}.parquet") for name in TABLES}
+    except (OSError, ValueError) as error:
+        raise DataError(f"{folder}: the results are damaged ({error}); run the experiment again") from error
+    return Results(folder, manifest, **tables)
+
+
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the folder for one run at a time; the lock goes with the process that holds it.
+
+    Raises:
+        UsageError: another run holds it.
+        StorageError: the folder cannot be written.
+    """
+    path = folder / ".lock"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise storage_error(path, error) from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = os.read(descriptor, 20).decode() or "unknown"
+            raise UsageError(
+                f"{folder}: another run is writing here (process {holder}); wait for it, or give this one "
+                "another folder with --results"
+            ) from error
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
+        yield
+    finally:
+        os.close(descriptor)

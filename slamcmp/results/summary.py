@@ -1,0 +1,216 @@
+"""The experiment in one table: medians over the seeds of each grid point, failed runs counted beside them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from slamcmp.metrics import metric_columns
+from slamcmp.metrics.statistics import (
+    Interval,
+    median_interval,
+    paired_interval,
+    sign_test,
+    signed_rank_test,
+)
+from slamcmp.results.certainty import failure_rate, runs_by_point, worst_run
+from slamcmp.results.grid import at_point, grid_points, has_values, labels, swept_columns
+from slamcmp.results.numbers import interval_text, number_text
+from slamcmp.results.store import Results
+
+TRAJECTORY_METRICS = ("ate", "ate_aligned", "heading_rmse_deg", "pose_nees")
+RUN_METRICS = (
+    "landmark_rmse",
+    "landmark_nees",
+    "joint_nees_per_dof",
+    "nis_per_dof",
+    "chi2_per_dof",
+    "nullity",
+    "spurious_turn_per_rad2",
+    "spurious_shift_per_m2",
+    "kl_from_batch_median",
+    "gate_recall",
+    "gate_precision",
+    "update_median_ms",
+    "update_p95_ms",
+    "update_s",
+    "estimate_s",
+    "final_solution_s",
+    "peak_memory_mb",
+)
+STATUSES = ("diverged", "crashed", "timed_out")
+ENOUGH_SEEDS = 5
+"""Below this many runs per grid point medians and tests say little."""
+
+
+@dataclass(frozen=True)
+class SummaryColumn:
+    """A metric column that has values in these results."""
+
+    name: str
+    """In the trials table."""
+    group: str
+    """``online``, ``final``, or ``""`` for the whole run."""
+    header: str
+    """With the unit, without the group."""
+    description: str
+
+    @property
+    def full_header(self) -> str:
+        """The heading where no group stands above it."""
+        return f"{self.group} {self.header}".strip()
+
+
+def summary_table(results: Results) -> pd.DataFrame:
+    """One row per grid point and back end: counts of runs, then medians over the runs that are ok.
+
+    Every error column says whether it scores the online or the final trajectory; ``failed`` names the
+    statuses of the runs that are in no median; ``own gate``, where there is any, says which rows chose their
+    observations by a gate of their own.
+    """
+    columns = summary_columns(results)
+    gated = has_values(results.trials, ["own_gate"])
+    rows: list[dict[str, Any]] = []
+    for point, label, own in runs_by_point(results):
+        ok = own[own["status"] == "ok"]
+        failed = [f"{int((own['status'] == s).sum())} {s}" for s in STATUSES if (own["status"] == s).any()]
+        rows.append(
+            {
+                "back end": label,
+                **point,
+                **({"own gate": gate_text(own)} if gated else {}),
+                "runs": len(own),
+                "ok": len(ok),
+                "failed": ", ".join(failed),
+                "reference": ", ".join(sorted(own["reference"].dropna().astype(str).unique())),
+                **{column.full_header: ok[column.name].median() for column in columns},
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def gate_text(runs: pd.DataFrame) -> str:
+    """The probability of these runs' own gate, or ``none``."""
+    found = runs["own_gate"].dropna()
+    return "none" if found.empty else ", ".join(f"{value:g}" for value in found.unique())
+
+
+def summary_intervals(results: Results) -> list[dict[str, Interval]]:
+    """For each row of :func:`summary_table` the 95 % interval of each median, by the column's heading."""
+    columns = summary_columns(results)
+    return [
+        {
+            column.full_header: median_interval(own[own["status"] == "ok"][column.name].astype(float))
+            for column in columns
+        }
+        for _, _, own in runs_by_point(results)
+    ]
+
+
+def terminal_table(results: Results) -> pd.DataFrame:
+    """The summary with what a reader must see beside the first error: its interval, its worst run.
+
+    Failure rates stand beside the counts as soon as there are enough runs to speak of a rate.
+    """
+
+    def short(text: str) -> str:
+        return text.replace(" to ", "–")
+
+    table = summary_table(results)
+    groups = [own for _, _, own in runs_by_point(results)]
+    if max((len(own) for own in groups), default=0) >= ENOUGH_SEEDS:
+        rates = [short(failure_rate(own)) for own in groups]
+        table.insert(list(table.columns).index("failed") + 1, "failed (95 %)", rates)
+    column = next((c for c in summary_columns(results) if c.name.endswith("_ate")), None)
+    if column is None:
+        return table
+    where = list(table.columns).index(column.full_header) + 1
+    worst = [worst_run(own, column.name) for own in groups]
+    if len(results.trials) > len(groups):
+        texts = [
+            number_text(value) + (f" ({seed})" if seed else "") if value == value else ""
+            for value, seed in worst
+        ]
+        table.insert(where, "  worst run (seed)", texts)
+    intervals = [short(interval_text(row[column.full_header])) for row in summary_intervals(results)]
+    table.insert(where, "  95 % of median", intervals)
+    return table
+
+
+def summary_columns(results: Results) -> list[SummaryColumn]:
+    """The metric columns of the summary that have a value, online before final before the whole run's."""
+    known = metric_columns()
+    space = "SE(3)" if has_values(results.frames, ["online_err_5"]) else "SE(2)"
+    names = [f"{which}_{metric}" for which in ("online", "final") for metric in TRAJECTORY_METRICS]
+    columns = []
+    for name in [*names, *RUN_METRICS]:
+        if name not in known or not has_values(results.trials, [name]):
+            continue
+        metric = known[name]
+        header = metric.header.replace("SE-aligned", f"{space}-aligned")
+        unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+        columns.append(SummaryColumn(name, metric.trajectory, header + unit, metric.description))
+    return columns
+
+
+def paired_table(results: Results) -> pd.DataFrame:
+    """ATE of each back end over that of the first one on the same stream, trial by trial.
+
+    One row per grid point, trajectory and back end: pairs, median ratio and median difference with their
+    intervals, pairs in which it was better, and the two-sided p values of the sign test and of Wilcoxon's
+    signed-rank test (on the logarithm of the ratio) where there are enough pairs. The reference itself is
+    left out. Where a back end gates for itself, ``own gates`` says so of both sides.
+    """
+    rows: list[dict[str, Any]] = []
+    swept = swept_columns(results.trials)
+    gated = has_values(results.trials, ["own_gate"])
+    for point in grid_points(results.trials):
+        here = at_point(results.trials, point)
+        for which in ("online", "final"):
+            errors = _errors_by_trial(here, f"{which}_ate")
+            compared = [label for label in labels(results) if label in errors.columns]
+            for label in compared[1:]:
+                pairs = errors[[compared[0], label]].dropna()
+                if pairs.empty:
+                    continue
+                ratio = pairs[label] / pairs[compared[0]]
+                difference = paired_interval(pairs[label], pairs[compared[0]])
+                better = int((ratio < 1).sum())
+                enough = len(pairs) >= ENOUGH_SEEDS
+                rows.append(
+                    {
+                        **{path: point[path] for path in swept},
+                        "trajectory": which,
+                        "back end": label,
+                        "compared with": compared[0],
+                        **({"own gates": _gates(here, label, compared[0])} if gated else {}),
+                        "pairs": len(pairs),
+                        "median ATE ratio": float(ratio.median()),
+                        "95 % of the ratio": interval_text(median_interval(ratio)),
+                        "median difference [m]": difference.estimate,
+                        "95 % of the difference": interval_text(difference),
+                        "better in": better,
+                        "sign test p": sign_test(ratio - 1) if enough else math.nan,
+                        "signed-rank p": signed_rank_test(np.log(ratio)) if enough else math.nan,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def _gates(rows: pd.DataFrame, label: str, other: str) -> str:
+    """``both 0.999``, or ``0.999 against none``."""
+    own, others = (gate_text(rows[rows["label"] == each]) for each in (label, other))
+    return f"both {own}" if own == others else f"{own} against {others}"
+
+
+def _errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:
+    """Trials by labels; failed runs and the reference's own zero are left out."""
+    if column not in rows.columns:
+        return pd.DataFrame()
+    used = rows[(rows["status"] == "ok") & (rows[column] > 0)]
+    itself = (used["reference"] == used["label"] + " (final)") & column.startswith("final")
+    return used[~itself].pivot(index="trial", columns="label", values=column)

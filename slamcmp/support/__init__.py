@@ -1,0 +1,1 @@
+"""Files, configuration, progress and processes: nothing about SLAM."""

@@ -1,0 +1,127 @@
+"""The batch optimum on real data, goodness of fit, and what is refused as a wrong basin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamcmp.backends.gtsam_smoothers.batch import Batch
+from slamcmp.backends.gtsam_smoothers.isam2 import Isam2
+from slamcmp.datasets.victoria_park import victoria_park
+from slamcmp.errors import DivergedError
+from slamcmp.frontend.labelled import labelled
+from slamcmp.types import MeasurementStream
+from tests.backends.graph_streams import run
+from tests.toy_stream import toy_stream
+
+
+def victoria_stream(sensor: str, steps: int | None = None) -> MeasurementStream:
+    """Every observation as recorded: no gate."""
+    return labelled(victoria_park(sensor=sensor, steps=steps), 0, gate_probability=None)
+
+
+@pytest.mark.parametrize(("sensor", "half_chi2"), [("range_bearing", 3173.5), ("relative_position", 3091.97)])
+def test_victoria_park_optimum(sensor: str, half_chi2: float) -> None:
+    """Whole log, 6969 poses, from the incremental warm start (values: FACTS P6, independent solvers)."""
+    stream = victoria_stream(sensor)
+    batch = run(Batch(stream.problem), stream)
+    final = batch.trajectory()
+    fit = batch.diagnostics()
+    assert 0.5 * fit["chi2"] == pytest.approx(half_chi2, abs=0.5)
+    assert fit["dof"] == 2 * 3640 - 2 * 151
+    assert fit["iterations"] < 10
+    assert final.T_world_body.shape == (6969, 3, 3)
+    assert final.P is not None
+    assert np.linalg.eigvalsh(final.P).min() > 0
+    assert batch.landmarks().ids.size == 151
+
+
+def test_dead_reckoning_start_ends_in_a_wrong_basin_and_says_so() -> None:
+    stream = victoria_stream("range_bearing")
+    batch = run(Batch(stream.problem, warm_start="dead_reckoning"), stream)
+    with pytest.raises(
+        DivergedError, match=r"χ²/dof is \d+\S* .*wrong basin \(start from warm_start 'isam2'\)"
+    ):
+        batch.trajectory()
+    assert batch.diagnostics()["chi2_per_dof"] > 10
+
+
+def test_noise_told_too_small_is_refused() -> None:
+    """The same data with sigmas told 3 times too small: χ²/dof 9."""
+    stream, _, _ = toy_stream(frames=100)
+    quiet, _, _ = toy_stream(frames=100, noise=1 / 3)
+    frames = [
+        type(f)(f.k, f.t, f.T_prev_body, q.Q, f.ids, f.z, q.R)
+        for f, q in zip(stream.frames, quiet.frames, strict=True)
+    ]
+    batch = Batch(quiet.problem)
+    for frame in frames:
+        batch.update(frame)
+    with pytest.raises(DivergedError, match="above max_chi2_per_dof 3"):
+        batch.trajectory()
+    assert batch.diagnostics()["chi2_per_dof"] == pytest.approx(9.0, rel=0.2)
+    tolerant = Batch(quiet.problem, max_chi2_per_dof=20.0)
+    for frame in frames:
+        tolerant.update(frame)
+    assert tolerant.trajectory().T_world_body.shape == (100, 3, 3)
+
+
+@pytest.mark.parametrize("sensor_name", ["range_bearing", "relative_position"])
+def test_chi_square_per_dof_is_one_on_a_correct_model(sensor_name: str) -> None:
+    """Sum over 20 seeded runs; bound: 4 standard deviations of chi-square per dof, sqrt(2 / dof)."""
+    chi2 = dof = 0.0
+    for seed in range(20):
+        stream, _, _ = toy_stream(frames=50, sensor_name=sensor_name, seed=seed, noise=0.3)
+        batch = run(Batch(stream.problem), stream)
+        batch.trajectory()
+        fit = batch.diagnostics()
+        chi2, dof = chi2 + fit["chi2"], dof + fit["dof"]
+    assert chi2 / dof == pytest.approx(1.0, abs=4 * np.sqrt(2 / dof))
+
+
+def test_too_few_iterations_are_divergence() -> None:
+    stream, _, _ = toy_stream(frames=30)
+    batch = run(Batch(stream.problem, max_iterations=1), stream)
+    with pytest.raises(DivergedError, match="no convergence in 1 iterations"):
+        batch.trajectory()
+
+
+def test_online_column_is_the_warm_starts_and_causal() -> None:
+    """By default the online estimate is iSAM2's with the same settings, to the last bit."""
+    stream, _, _ = toy_stream(frames=40)
+    batch, isam2 = Batch(stream.problem), Isam2(stream.problem)
+    for frame in stream.frames:
+        batch.update(frame)
+        isam2.update(frame)
+        a, b = batch.estimate(), isam2.estimate()
+        np.testing.assert_array_equal(a.T_world_body, b.T_world_body)
+        np.testing.assert_array_equal(a.P, b.P)
+
+
+def test_between_causal_solves_odometry_carries_the_estimate() -> None:
+    stream, _, _ = toy_stream(frames=9)
+    batch = Batch(stream.problem, every=4)
+    batch.update(stream.frames[0])
+    for frame in stream.frames[1:]:
+        before = batch.estimate()
+        batch.update(frame)
+        now = batch.estimate().T_world_body
+        carried = before.T_world_body @ frame.T_prev_body
+        solved = frame.k % 4 == 0
+        assert np.allclose(now, carried, rtol=0, atol=1e-14) is not solved
+
+
+def test_a_solution_is_forgotten_when_a_frame_comes() -> None:
+    """landmarks() after trajectory() is the batch's; one more frame and it is solved anew."""
+    stream, _, _ = toy_stream(frames=31)
+    batch = Batch(stream.problem)
+    for frame in stream.frames[:30]:
+        batch.update(frame)
+    batch.trajectory()
+    first = batch.landmarks()
+    batch.update(stream.frames[30])
+    assert "chi2" not in batch.diagnostics()
+    second = batch.landmarks()
+    fresh = run(Batch(stream.problem), stream).landmarks()
+    assert np.abs(first.positions - second.positions).max() > 1e-6
+    np.testing.assert_allclose(second.positions, fresh.positions, rtol=0, atol=1e-12)
