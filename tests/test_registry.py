@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.config.component import Choice
+from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.content_key import run_key
 from slamcmp.registry import Registry, load_user_plugin
 
@@ -75,7 +75,7 @@ def test_key_follows_the_users_file_and_the_one_that_defines(tmp_path: Path, nam
     other.write_text(CLASS.format(gate=9))
 
     def key() -> str:
-        return run_key("s", Choice("back end", "mine.py:Mine", f"{path}:Mine", {}), 1.0, None)
+        return run_key("s", Component("back end", "mine.py:Mine", f"{path}:Mine", {}), 1.0, None)
 
     path.write_text(naming.format(impl=impl))
     first = key()

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.errors import MissingDataError
-from slamcmp.experiment.config.component import Choice
+from slamcmp.experiment.config.component import Component
 from slamcmp.registry import Plugin
 from slamcmp.support.plugin_models import bind_parameters
 
@@ -30,7 +30,7 @@ LIBRARIES = ("numpy", "scipy", "gtsam", "opencv-python-headless")
 KEY_LENGTH = 24
 
 
-def stream_key(source: Choice, front_end: Choice, seed: int | None) -> str:
+def stream_key(source: Component, front_end: Component, seed: int | None) -> str:
     """Of the stream that a source and a front end make from a seed."""
     source_plugin, front_end_plugin = source.plugin(), front_end.plugin()
     return _hash(
@@ -49,7 +49,7 @@ def stream_key(source: Choice, front_end: Choice, seed: int | None) -> str:
 
 def run_key(
     stream: str,
-    back_end: Choice,
+    back_end: Component,
     time_limit_s: float,
     memory_limit_mb: float | None,
     recording: Mapping[str, Any] | None = None,
@@ -85,7 +85,7 @@ def versions() -> Mapping[str, str]:
     return found
 
 
-def data_digests(source: Choice) -> dict[str, str]:
+def data_digests(source: Component) -> dict[str, str]:
     """sha256 of each data file the source says it reads, by file name, or by path where names are alike.
 
     Raises:

@@ -110,7 +110,7 @@ class Schedule:
                 digest=digest,
                 time_limit_s=job.time_limit_s,
                 memory_limit_mb=self._memory_limit_mb,
-                study=job.study,
+                record=job.record,
                 own_gate=job.back_end.own_gate,
             )
         try:

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from slamcmp.errors import SlamcmpError
-from slamcmp.experiment.config.component import Choice
+from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.config.trials import RunJob, Trial
 from slamcmp.experiment.inspection import FINDINGS, Inspector
 from slamcmp.experiment.job.worker import posteriors_path, run_path, stream_path, truth_path
@@ -59,8 +59,8 @@ def gather(
         _require_one_stream(trial, known, [run for _, run in stored])
         truth, name = trial_truth(known, [run for _, run in stored], reference)
         borrowed = truth is not None and known.truth is None
-        study = trial.runs[0].study
-        recorded = {} if study is None else {"study": study.describe()}
+        record = trial.runs[0].record
+        recorded = {} if record is None else {"record": record.describe()}
         inspector = Inspector(stream_path(folder, known.digest), truth, borrowed)
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest, kinds)
@@ -84,7 +84,7 @@ class _Divergences:
 
     def __init__(self, trial: Trial, folder: Path) -> None:
         self._folder = folder
-        named = {job.study.divergence_from for job in trial.runs if job.study is not None}
+        named = {job.record.divergence_from for job in trial.runs if job.record is not None}
         self._reference = [
             posterior
             for job in trial.runs
@@ -129,7 +129,7 @@ def _require_one_stream(trial: Trial, known: StoredTruth, runs: Sequence[StoredR
         )
 
 
-def _keys(trial: Trial, choice: Choice, digest: str, kinds: Mapping[str, str]) -> dict[str, Any]:
+def _keys(trial: Trial, choice: Component, digest: str, kinds: Mapping[str, str]) -> dict[str, Any]:
     return {
         "trial": trial.number,
         "label": choice.label,

@@ -243,11 +243,11 @@ def _borrowed_online_column(results: Results) -> Caution | None:
 
 def _no_times(results: Results) -> Caution | None:
     """Recording costs time between and inside the frames."""
-    if not results.manifest.get("config", {}).get("study"):
+    if not results.manifest.get("config", {}).get("record"):
         return None
     return Caution(
         "No times were taken",
-        "This experiment has a study: each back end also records what its linear system claims, or its whole "
+        "This experiment records: each back end also tells what its linear system claims, or its whole "
         "posterior. That takes time and memory of its own, so neither is told. To compare times, run it "
         "without.",
     )
@@ -256,7 +256,7 @@ def _no_times(results: Results) -> Caution | None:
 def _shared_machine(results: Results) -> Caution | None:
     """Jobs side by side disturb each other's times; errors and covariances they leave alone."""
     jobs = results.manifest.get("jobs") or 1
-    if jobs < 2 or results.manifest.get("config", {}).get("study"):
+    if jobs < 2 or results.manifest.get("config", {}).get("record"):
         return None
     return Caution(
         f"Times were measured with {jobs} jobs side by side",

@@ -212,7 +212,7 @@ def test_a_sweep_without_a_single_value_says_so(swept):
 
 
 def test_times_that_were_not_taken_are_not_zero(swept):
-    """Runs of a study have no times: no panel of them, and no accuracy against time."""
+    """Runs that record have no times: no panel of them, and no accuracy against time."""
     trials = swept.trials.assign(update_s=math.nan, estimate_s=math.nan)
     timeless = dataclasses.replace(swept, trials=trials)
     assert [axes.get_title(loc="left") for axes in plot_sweep(timeless).axes] == [

@@ -1,4 +1,4 @@
-"""The figures of a study: what is drawn against its series, and reasons where there are none."""
+"""The figures of what was recorded: what is drawn against its series, and reasons where there are none."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_median_series_leaves_frames_without_values_out(studied: Results) -> Non
 
 
 def test_divergence_draws_each_run_and_leaves_the_batch_solution_out(studied: Results) -> None:
-    studied.manifest["config"]["study"] = {"divergence_from": "batch"}
+    studied.manifest["config"]["record"] = {"divergence_from": "batch"}
     figure = plot_kl_from_batch(studied)
     over_time, medians = figure.axes
     assert [y.tolist() for y in lines(over_time, FRAMES // 10)] == [[8.0] * (FRAMES // 10)]
@@ -114,13 +114,13 @@ def test_divergence_draws_each_run_and_leaves_the_batch_solution_out(studied: Re
 
 
 def test_experiments_without_a_study_say_what_is_missing(one_trial: Results) -> None:
-    with pytest.raises(NotDrawable, match=r"study: \{observability: true\}"):
+    with pytest.raises(NotDrawable, match=r"record: \{observability: true\}"):
         plot_observability(one_trial)
-    with pytest.raises(NotDrawable, match=r"study: \{divergence_from: LABEL\}"):
+    with pytest.raises(NotDrawable, match=r"record: \{divergence_from: LABEL\}"):
         plot_kl_from_batch(one_trial)
 
 
 def test_a_batch_solution_that_failed_is_named(one_trial: Results) -> None:
-    one_trial.manifest["config"]["study"] = {"divergence_from": "batch"}
+    one_trial.manifest["config"]["record"] = {"divergence_from": "batch"}
     with pytest.raises(NotDrawable, match="'batch' kept no posterior, see its status"):
         plot_kl_from_batch(one_trial)

@@ -133,13 +133,13 @@ def test_command_line(tmp_path: Path) -> None:
     results.folder.mkdir(parents=True)
     save_results(results)
     (expected,) = plan_seeds(results, "online_ate", 0.25)
-    said = slamcmp("plan", "mine", "--metric", "online_ate", "--difference", "0.25", cwd=tmp_path)
+    said = slamcmp("seeds", "mine", "--metric", "online_ate", "--difference", "0.25", cwd=tmp_path)
     assert said.returncode == 0, said.stderr
     assert f"paired:   {expected.paired} seeds (simulated {expected.paired_simulated};" in said.stdout
     assert f"unpaired: {expected.unpaired} seeds a back end" in said.stdout
-    arguments = ["plan", "results/mine", "--metric", "online_ate", "--difference", "0.25", "--json"]
+    arguments = ["seeds", "results/mine", "--metric", "online_ate", "--difference", "0.25", "--json"]
     (plan,) = json.loads(slamcmp(*arguments, cwd=tmp_path).stdout)["plans"]
     assert plan["paired"] == expected.paired
-    lost = slamcmp("plan", "quickstart", "--metric", "online_ate", "--difference", "1", cwd=tmp_path)
+    lost = slamcmp("seeds", "quickstart", "--metric", "online_ate", "--difference", "1", cwd=tmp_path)
     assert lost.returncode == 3
     assert "no pilot yet; run one with 10 or more seeds: slamcmp run quickstart" in lost.stderr

@@ -12,8 +12,8 @@ from annotated_types import Gt, Lt
 from pydantic import TypeAdapter, ValidationError
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.config.component import OWN_GATE, REGISTRIES, Choice, swept_target
-from slamcmp.experiment.config.record import Study
+from slamcmp.experiment.config.component import OWN_GATE, REGISTRIES, Component, swept_target
+from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.registry import Plugin, back_ends, did_you_mean, figures
 from slamcmp.support.config_errors import ConfigErrors
@@ -31,7 +31,7 @@ class Checker:
         self._errors = errors
         self._folder = folder
 
-    def choice(self, kind: str, section: Mapping[str, Any], path: KeyPath) -> Choice | None:
+    def choice(self, kind: str, section: Mapping[str, Any], path: KeyPath) -> Component | None:
         if not section:
             return None
         given = dict(section)
@@ -68,7 +68,7 @@ class Checker:
             own_gate = None
         if own_gate is not None:
             default_label += ", own gate"
-        return Choice(kind, plugin.name, spec, parameters, label or default_label, self._folder, own_gate)
+        return Component(kind, plugin.name, spec, parameters, label or default_label, self._folder, own_gate)
 
     def _gate(self, plugin: Plugin, value: Any, path: KeyPath) -> bool:
         """Whether the back end can have a gate of its own of this probability."""
@@ -87,7 +87,7 @@ class Checker:
         )
         return False
 
-    def labels(self, chosen: Sequence[Choice | None]) -> None:
+    def labels(self, chosen: Sequence[Component | None]) -> None:
         first: dict[str, int] = {}
         for index, choice in enumerate(chosen):
             if choice is None:
@@ -103,9 +103,9 @@ class Checker:
     def sweep(
         self,
         swept: Mapping[str, Any],
-        source: Choice | None,
-        front_end: Choice | None,
-        chosen: Sequence[Choice | None],
+        source: Component | None,
+        front_end: Component | None,
+        chosen: Sequence[Component | None],
     ) -> None:
         by_label = {choice.label: choice for choice in chosen if choice is not None}
         sections = {"source": source, "front_end": front_end}
@@ -131,7 +131,7 @@ class Checker:
             if target is not None:
                 self._swept_values(path, parameter, values, target)
 
-    def _swept_values(self, path: str, parameter: str, values: Any, target: Choice) -> None:
+    def _swept_values(self, path: str, parameter: str, values: Any, target: Component) -> None:
         plugin = target.plugin()
         if parameter == OWN_GATE and target.kind == "back end":
             for index, value in enumerate(values):
@@ -159,7 +159,7 @@ class Checker:
             if text in texts[:index]:
                 self._errors.add(("sweep", path, index), f"sweep: {text} stands twice")
 
-    def seeds(self, given: int | list[int], source: Choice | None) -> tuple[int | None, ...]:
+    def seeds(self, given: int | list[int], source: Component | None) -> tuple[int | None, ...]:
         seeds = tuple(range(given)) if isinstance(given, int) else tuple(given)
         for index, seed in enumerate(seeds):
             if seed in seeds[:index]:
@@ -195,11 +195,11 @@ class Checker:
         if rule.of == "difference" and back_ends < 2:
             self._errors.add(("until", "of"), "until: a difference needs at least two back ends")
 
-    def study(self, study: Study, labels: Sequence[str]) -> None:
-        label = study.divergence_from
+    def record(self, record: Record, labels: Sequence[str]) -> None:
+        label = record.divergence_from
         if label is not None and label not in labels:
-            what = f"study: no back end has the label {label!r}{did_you_mean(label, labels)}"
-            self._errors.add(("study", "divergence_from"), what)
+            what = f"record: no back end has the label {label!r}{did_you_mean(label, labels)}"
+            self._errors.add(("record", "divergence_from"), what)
 
     def figures(self, names: Sequence[str]) -> None:
         for index, name in enumerate(names):

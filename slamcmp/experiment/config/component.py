@@ -14,7 +14,7 @@ OWN_GATE = "own_gate"
 
 
 @dataclass(frozen=True)
-class Choice:
+class Component:
     """A plug-in with all its parameters."""
 
     kind: str
@@ -49,7 +49,7 @@ class Choice:
                     values[name] = str(beside.resolve())
         return values
 
-    def with_parameter(self, name: str, value: Any) -> Choice:
+    def with_parameter(self, name: str, value: Any) -> Component:
         """The same with one parameter, or the gate of its own, changed."""
         if name == OWN_GATE and self.kind == "back end":
             return replace(self, own_gate=value)

@@ -13,8 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.checks import Checker
-from slamcmp.experiment.config.component import OWN_GATE, Choice
-from slamcmp.experiment.config.record import Study
+from slamcmp.experiment.config.component import OWN_GATE, Component
+from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.registry import did_you_mean
 from slamcmp.results.published import Published, check_published, published_keys
@@ -59,7 +59,7 @@ class ExperimentFields(BaseModel):
     memory_limit_mb: float | None = Field(
         None, gt=0, description="Memory one job may take; default: its share of the machine's"
     )
-    study: Study | None = Field(None, description="What to record besides; runs that record tell no times")
+    record: Record | None = Field(None, description="What to record besides; runs that record tell no times")
     figures: list[str] | None = Field(None, description="Names of figures; default: all that apply")
     published: Published | None = Field(
         None, description="Numbers from a publication; the results are shown beside them, with a verdict"
@@ -71,9 +71,9 @@ class Experiment:
     """A checked experiment."""
 
     name: str
-    source: Choice
-    front_end: Choice
-    back_ends: tuple[Choice, ...]
+    source: Component
+    front_end: Component
+    back_ends: tuple[Component, ...]
     seeds: tuple[int | None, ...] = (0,)
     """(None,) for a source that takes no seed; with ``until`` only the first batch."""
     until: StopRule | None = None
@@ -82,7 +82,7 @@ class Experiment:
     time_limit_s: float = 600.0
     stream_time_limit_s: float = 3600.0
     memory_limit_mb: float | None = None
-    study: Study | None = None
+    record: Record | None = None
     figures: tuple[str, ...] | None = None
     published: Published | None = None
     question: str = ""
@@ -110,7 +110,7 @@ class Experiment:
     def as_dict(self) -> dict[str, Any]:
         """Everything as plain JSON values, with the defaults filled in, for the manifest."""
 
-        def choice(chosen: Choice) -> dict[str, Any]:
+        def choice(chosen: Component) -> dict[str, Any]:
             gate = {} if chosen.own_gate is None else {OWN_GATE: chosen.own_gate}
             return {"name": chosen.name, **dict(chosen.parameters), **gate}
 
@@ -128,7 +128,7 @@ class Experiment:
             "time_limit_s": self.time_limit_s,
             "stream_time_limit_s": self.stream_time_limit_s,
             "memory_limit_mb": self.memory_limit_mb,
-            "study": None if self.study is None else self.study.model_dump(),
+            "record": None if self.record is None else self.record.model_dump(),
             "figures": None if self.figures is None else list(self.figures),
             "published": None if self.published is None else self.published.model_dump(),
         }
@@ -154,7 +154,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         known: dict[KeyPath, Any] = {
             (): ExperimentFields.model_fields,
             ("until",): StopRule.model_fields,
-            ("study",): Study.model_fields,
+            ("record",): Record.model_fields,
         }
         errors.add_pydantic(error.errors(), (), known | published_keys(error.errors()))
         # The sections that have the right shape are checked all the same: every mistake at once.
@@ -172,7 +172,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
                 "seeds": 1,
                 "until": None,
                 "published": None,
-                "study": None,
+                "record": None,
                 **good,
             }
         )
@@ -196,9 +196,9 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
             ("reference",),
             f"no back end has the label {fields.reference!r}{did_you_mean(fields.reference, labels)}",
         )
-    study = None if fields.study is None else Study.model_validate(fields.study)
-    if study is not None and None not in chosen:
-        checker.study(study, labels)
+    record = None if fields.record is None else Record.model_validate(fields.record)
+    if record is not None and None not in chosen:
+        checker.record(record, labels)
     if fields.figures is not None:
         checker.figures(fields.figures)
     published = None if fields.published is None else Published.model_validate(fields.published)
@@ -219,7 +219,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         time_limit_s=fields.time_limit_s,
         stream_time_limit_s=fields.stream_time_limit_s,
         memory_limit_mb=fields.memory_limit_mb,
-        study=study,
+        record=record,
         figures=None if fields.figures is None else tuple(fields.figures),
         published=published,
         question=fields.question,

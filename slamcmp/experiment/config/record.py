@@ -1,4 +1,4 @@
-"""``study:`` in an experiment file: what is recorded beyond estimates, at the cost of the times."""
+"""``record:`` in an experiment file: what is recorded beyond estimates, at the cost of the times."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 
-class Study(BaseModel):
+class Record(BaseModel):
     """What is recorded beyond estimates; a run that records tells no times."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from slamcmp.experiment.config.component import Choice, swept_target
+from slamcmp.experiment.config.component import Component, swept_target
 from slamcmp.experiment.config.experiment import Experiment, grid
-from slamcmp.experiment.config.record import Study
+from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.content_key import run_key, stream_key
 
 
@@ -17,8 +17,8 @@ class StreamJob:
     """Make the measurement stream of a trial, and put its truth aside."""
 
     key: str
-    source: Choice
-    front_end: Choice
+    source: Component
+    front_end: Component
     seed: int | None
 
 
@@ -28,11 +28,11 @@ class RunJob:
 
     key: str
     stream_key: str
-    back_end: Choice
+    back_end: Component
     seed: int | None
     time_limit_s: float
     memory_limit_mb: float | None
-    study: Study | None = None
+    record: Record | None = None
 
 
 @dataclass(frozen=True)
@@ -54,17 +54,17 @@ def make_trials(experiment: Experiment) -> list[Trial]:
         for seed in experiment.seeds:
             stream = StreamJob(stream_key(source, front_end, seed), source, front_end, seed)
             limits = experiment.time_limit_s, experiment.memory_limit_mb
-            study = experiment.study
-            recording = None if study is None else study.recording()
+            record = experiment.record
+            recording = None if record is None else record.recording()
             runs = tuple(
-                RunJob(run_key(stream.key, each, *limits, recording), stream.key, each, seed, *limits, study)
+                RunJob(run_key(stream.key, each, *limits, recording), stream.key, each, seed, *limits, record)
                 for each in back_ends
             )
             trials.append(Trial(len(trials), seed, swept, stream, runs))
     return trials
 
 
-def _apply(experiment: Experiment, swept: Mapping[str, Any]) -> tuple[Choice, Choice, list[Choice]]:
+def _apply(experiment: Experiment, swept: Mapping[str, Any]) -> tuple[Component, Component, list[Component]]:
     source, front_end = experiment.source, experiment.front_end
     back_ends = {choice.label: choice for choice in experiment.back_ends}
     for path, value in swept.items():

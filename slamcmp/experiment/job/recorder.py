@@ -1,4 +1,4 @@
-"""Looks at a back end while it runs, for what the experiment's ``study`` records.
+"""Looks at a back end while it runs, for what the experiment's ``record:`` asks for.
 
 Every ``every``-th frame each back end is asked what its own linear system claims (where it can tell), and for
 its whole posterior of pose and map, which is later compared with a batch solution's at the same frame.
@@ -14,7 +14,7 @@ import numpy as np
 
 from slamcmp.backends.filters.unanchored import Linearisation
 from slamcmp.errors import DivergedError
-from slamcmp.experiment.config.record import Study
+from slamcmp.experiment.config.record import Record
 from slamcmp.metrics.information import landmark_drift, pose_drift
 from slamcmp.metrics.observability import DRIFTS, NULLITY, SHIFT, TURN, nullity, unanchored_information
 from slamcmp.protocols import BackEnd, JointEstimator
@@ -36,31 +36,31 @@ class SelfLinearising(Protocol):
         """About the last frame."""
 
 
-class Watch:
+class Recorder:
     """Looks at one back end while it runs.
 
     Args:
-        study: what to record.
+        record: what to record.
         frames: of the stream.
     """
 
-    def __init__(self, study: Study, frames: int) -> None:
-        self._study, self._last = study, frames - 1
+    def __init__(self, record: Record, frames: int) -> None:
+        self._record, self._last = record, frames - 1
         self.posteriors: list[Posterior] = []
 
     def begin(self, back_end: BackEnd) -> BackEnd:
         """The back end, recording if it can."""
-        if self._study.observability and isinstance(back_end, SelfLinearising):
+        if self._record.observability and isinstance(back_end, SelfLinearising):
             back_end.record_linearisation()
         return back_end
 
     def after_frame(self, k: int, back_end: BackEnd, answer: Estimate) -> Mapping[str, float]:
-        """Series of frame k; keeps the posterior if the study compares it."""
-        if (k + 1) % self._study.every and k != self._last:
+        """Series of frame k; keeps the posterior if it will be compared."""
+        if (k + 1) % self._record.every and k != self._last:
             return {}
-        if self._study.divergence_from is not None and isinstance(back_end, JointEstimator):
+        if self._record.divergence_from is not None and isinstance(back_end, JointEstimator):
             self._keep(k, back_end, answer)
-        if self._study.observability and isinstance(back_end, SelfLinearising):
+        if self._record.observability and isinstance(back_end, SelfLinearising):
             return series_of(back_end.linearisation(), answer.T_world_body)
         return {}
 

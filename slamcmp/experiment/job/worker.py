@@ -13,8 +13,8 @@ from typing import Any, overload
 
 from slamcmp.backends.own_gate import OwnGate
 from slamcmp.errors import SlamcmpError, UsageError
-from slamcmp.experiment.config.record import Study
-from slamcmp.experiment.job.recorder import Watch
+from slamcmp.experiment.config.record import Record
+from slamcmp.experiment.job.recorder import Recorder
 from slamcmp.experiment.job.run_back_end import describe, run_back_end
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import score_run
@@ -44,7 +44,7 @@ class Task:
     """Of the stream that a run reads."""
     time_limit_s: float = float("inf")
     memory_limit_mb: float | None = None
-    study: Study | None = None
+    record: Record | None = None
     """What to record besides."""
     own_gate: float | None = None
     """Probability of a gate by the back end's own covariance."""
@@ -173,11 +173,11 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
     ((spec, parameters),) = task.plugins
     plugin = back_ends.get(spec)
     bound = bind_parameters(plugin, dict(parameters))
-    watch = None if task.study is None else Watch(task.study, len(stream.frames))
+    recorder = None if task.record is None else Recorder(task.record, len(stream.frames))
 
     def make(problem: Problem) -> BackEnd:
         made = _make_back_end(plugin, problem, bound, task)
-        return made if watch is None else watch.begin(made)
+        return made if recorder is None else recorder.begin(made)
 
     run = run_back_end(
         make,
@@ -188,10 +188,10 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
         time_limit_s=task.time_limit_s,
         heartbeat=heartbeat,
         on_frames_done=lambda online: save_run(StoredRun(online, {}, 1.0), task.online_part),
-        after_frame=None if watch is None else watch.after_frame,
+        after_frame=None if recorder is None else recorder.after_frame,
     )
-    if watch is not None and watch.posteriors:
-        save_posteriors(watch.posteriors, posteriors_path(task.folder, task.key))
+    if recorder is not None and recorder.posteriors:
+        save_posteriors(recorder.posteriors, posteriors_path(task.folder, task.key))
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
     save_run(scored(run, _truth(task)), task.result)
     task.online_part.unlink(missing_ok=True)

@@ -24,7 +24,7 @@ SMALLEST_NAT = 0.01
 @figures.register(
     "kl_from_batch",
     title="Distance from the batch solution's belief",
-    needs=("frames: kl_from_batch (experiments with study: {divergence_from: LABEL})",),
+    needs=("frames: kl_from_batch (experiments with record: {divergence_from: LABEL})",),
     caption=(
         "Kullback–Leibler divergence of each back end's belief about the current pose and the whole map "
         "(mean and joint covariance) from that of the batch solution of the same measurements, at the "
@@ -38,13 +38,13 @@ SMALLEST_NAT = 0.01
 def plot_kl_from_batch(results: Results) -> Figure:
     """Divergence over time, and each run's median."""
     frames, where = ok_frames(results)
-    study = results.manifest.get("config", {}).get("study") or {}
-    batch = study.get("divergence_from")
+    record = results.manifest.get("config", {}).get("record") or {}
+    batch = record.get("divergence_from")
     if not has_values(frames, [KL]):
         raise NotDrawable(
             f"no run was compared: {batch!r} kept no posterior, see its status"
             if batch
-            else "no run was compared: give the experiment study: {divergence_from: LABEL}"
+            else "no run was compared: give the experiment record: {divergence_from: LABEL}"
         )
     told = frames[frames[KL].notna()]
     medians = told.groupby(["label", "trial"])[KL].median()

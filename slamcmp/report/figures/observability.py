@@ -28,7 +28,7 @@ ROUNDING = 1e-6
 @figures.register(
     "observability",
     title="What no sensor can see",
-    needs=("frames: nullity, spurious_turn_per_rad2 (experiments with study: {observability: true})",),
+    needs=("frames: nullity, spurious_turn_per_rad2 (experiments with record: {observability: true})",),
     caption=(
         "Nothing a robot measures tells where in the world its map lies, or how it is turned. Each back "
         "end's own linear system is asked what it would know about the pose had it known nothing at the "
@@ -45,7 +45,7 @@ def plot_observability(results: Results) -> Figure:
     """Nullity, spurious information on the heading and drift of the Jacobians' points over time."""
     frames, where = ok_frames(results)
     if not has_values(frames, [NULLITY]):
-        raise NotDrawable("no run recorded it: give the experiment study: {observability: true}")
+        raise NotDrawable("no run recorded it: give the experiment record: {observability: true}")
     rows = 3 if has_values(frames, [DRIFT]) else 2
     title = "What does it know that no sensor can see?" + (f"  {where}" if where else "")
     figure = style.new_figure(10.0, 2.6 * rows + 1.5, title)

@@ -1,4 +1,4 @@
-"""``study:`` through the public runner: a short run of the shipped experiment, with known answers."""
+"""``record:`` through the public runner: a short run of the shipped experiment, with known answers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.config.component import Choice
+from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.report.cautions import cautions
@@ -41,14 +41,14 @@ NULLITY = {
 def short(experiment: Experiment, **changes: Any) -> Experiment:
     """One lap, one seed, and GTSAM's batch solver besides."""
     source = experiment.source.with_parameter("steps", 80)
-    gtsam = Choice("back end", "batch", "batch", {}, "batch (GTSAM)")
+    gtsam = Component("back end", "batch", "batch", {}, "batch (GTSAM)")
     fields = {"source": source, "back_ends": (*experiment.back_ends, gtsam), "seeds": (0,), **changes}
     return replace(experiment, **fields)
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    folder = tmp_path_factory.mktemp("study") / "results"
+    folder = tmp_path_factory.mktemp("record") / "results"
     run_experiment(short(load_experiment(SHIPPED)), folder=folder, executor="serial")
     return load_results(folder)
 
@@ -116,17 +116,17 @@ def test_a_run_that_records_tells_no_times(results: Results) -> None:
     for name in ("update_s", "estimate_s", "final_solution_s", "peak_memory_mb", "update_median_ms"):
         assert results.trials[name].isna().all()
     assert results.frames["update_s"].isna().all()
-    assert set(results.trials["study"]) == {"observability, divergence from batch"}
+    assert set(results.trials["record"]) == {"observability, divergence from batch"}
     assert "No times" in "; ".join(caution.title for caution in cautions(results))
 
 
 def test_recording_is_part_of_the_key_and_changes_no_estimate(tmp_path: Path) -> None:
     shipped = load_experiment(SHIPPED)
     ekf = tuple(each for each in shipped.back_ends if each.label == "EKF")
-    experiment = replace(short(shipped, back_ends=ekf), study=None)
+    experiment = replace(short(shipped, back_ends=ekf), record=None)
     plain = run_experiment(experiment, folder=tmp_path / "r", executor="serial")
     assert plain.trials["update_s"].gt(0).all()
-    assert "study" not in plain.trials
+    assert "record" not in plain.trials
     recorded = run_experiment(short(shipped, back_ends=ekf), folder=tmp_path / "r", executor="serial")
     assert recorded.manifest["jobs_run"] == 1
     assert recorded.trials["online_ate"].tolist() == plain.trials["online_ate"].tolist()
@@ -145,20 +145,20 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     fields = {
         "source": {"name": "circle"},
         "back_ends": [{"name": "ekf_slam", "label": "EKF"}],
-        "study": {"divergence_from": "EFK"},
+        "record": {"divergence_from": "EFK"},
     }
     path = tmp_path / "e.yaml"
     path.write_text(json.dumps(fields))
-    with pytest.raises(UsageError, match="study: no back end has the label 'EFK'; did you mean 'EKF'"):
+    with pytest.raises(UsageError, match="record: no back end has the label 'EFK'; did you mean 'EKF'"):
         load_experiment(path)
-    path.write_text(json.dumps(fields | {"study": {"observabilty": True}}))
+    path.write_text(json.dumps(fields | {"record": {"observabilty": True}}))
     with pytest.raises(UsageError, match="did you mean 'observability'"):
         load_experiment(path)
-    known_too_late = {"study": {}, "until": {"metric": "kl_from_batch", "half_width": 0.1}}
+    known_too_late = {"record": {}, "until": {"metric": "kl_from_batch", "half_width": 0.1}}
     path.write_text(json.dumps(fields | known_too_late))
     with pytest.raises(UsageError, match="'kl_from_batch' is only known when all runs are compared"):
         load_experiment(path)
-    path.write_text(json.dumps(fields | {"study": {"every": 0}}))
+    path.write_text(json.dumps(fields | {"record": {"every": 0}}))
     with pytest.raises(UsageError, match="every"):
         load_experiment(path)
 
@@ -166,7 +166,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
 def test_back_ends_that_cannot_tell_are_left_alone(tmp_path: Path) -> None:
     """iSAM2 has no linear system of its own to tell about, but a posterior to compare."""
     shipped = load_experiment(SHIPPED)
-    isam2 = Choice("back end", "isam2", "isam2", {"relinearize_skip": 1}, "iSAM2")
+    isam2 = Component("back end", "isam2", "isam2", {"relinearize_skip": 1}, "iSAM2")
     batch = tuple(each for each in shipped.back_ends if each.label == "batch")
     found = run_experiment(
         short(shipped, back_ends=(isam2, *batch)), folder=tmp_path / "r", executor="serial"

@@ -1,4 +1,4 @@
-"""``slamcmp plan``: how many seeds does a difference need?"""
+"""``slamcmp seeds``: how many seeds does a difference need?"""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 def add_commands(app: typer.Typer) -> None:
     """Put this file's commands into the application."""
     app.command(
-        epilog="Examples: slamcmp plan quickstart --metric online_ate --difference 0.01 | "
-        "slamcmp plan results/pilot --metric final_ate --difference 0.05 --relative --power 0.9"
-    )(plan)
+        epilog="Examples: slamcmp seeds quickstart --metric online_ate --difference 0.01 | "
+        "slamcmp seeds results/pilot --metric final_ate --difference 0.05 --relative --power 0.9"
+    )(seeds)
 
 
-def plan(
+def seeds(
     experiment: Annotated[
         str, typer.Argument(help="Results folder of a pilot, or the experiment (file or name) it belongs to.")
     ],
