@@ -21,8 +21,9 @@ from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisio
 from slamcmp.experiment.tables import gather
 from slamcmp.registry import executors
 from slamcmp.results.run_file import load_truth
-from slamcmp.results.store import Results, locked, save_results
+from slamcmp.results.store import Results, save_results
 from slamcmp.support.interruption import interruptions
+from slamcmp.support.lock import locked
 from slamcmp.support.progress import watching
 
 

@@ -1,4 +1,4 @@
-"""The results folder: tables, manifest, and the lock that keeps two runs apart.
+"""The results folder: tables and manifest.
 
 ``results/NAME/`` holds ``trials.parquet``, ``frames.parquet``, ``landmarks.parquet`` and ``manifest.json``
 for readers; ``runs/`` and ``streams/`` hold what a resumed run reuses, ``logs/`` what back ends printed.
@@ -6,12 +6,8 @@ for readers; ``runs/`` and ``streams/`` hold what a resumed run reuses, ``logs/`
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import json
 import math
-import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +15,8 @@ from typing import Any
 import pandas as pd
 import pyarrow
 
-from slamcmp.errors import DataError, MissingDataError, UsageError
-from slamcmp.support.atomic import storage_error, write_atomically
+from slamcmp.errors import DataError, MissingDataError
+from slamcmp.support.atomic import write_atomically
 
 TABLES = ("trials", "frames", "landmarks")
 MANIFEST = "manifest.json"
@@ -90,33 +86,3 @@ def load_results(folder: Path | str) -> Results:
     except (OSError, ValueError) as error:
         raise DataError(f"{folder}: the results are damaged ({error}); run the experiment again") from error
     return Results(folder, manifest, **tables)
-
-
-@contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder for one run at a time; the lock goes with the process that holds it.
-
-    Raises:
-        UsageError: another run holds it.
-        StorageError: the folder cannot be written.
-    """
-    path = folder / ".lock"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        raise storage_error(path, error) from error
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = os.read(descriptor, 20).decode() or "unknown"
-            raise UsageError(
-                f"{folder}: another run is writing here (process {holder}); wait for it, or give this one "
-                "another folder with --results"
-            ) from error
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, str(os.getpid()).encode())
-        yield
-    finally:
-        os.close(descriptor)

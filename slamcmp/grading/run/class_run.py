@@ -8,7 +8,6 @@ student ``students/NAME/`` with ``outcome.json``, ``feedback.html`` (for the stu
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import hmac
 import json
@@ -42,6 +41,7 @@ from slamcmp.grading.run.grade_process import (
     write_pages,
 )
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.lock import locked
 from slamcmp.support.progress import Watcher
 
 FORMAT = 1
@@ -98,8 +98,7 @@ def run_class(
     """
     submitted = find_submissions(submissions)
     assignment, folder = assignment.resolve(), folder.resolve()
-    folder.mkdir(parents=True, exist_ok=True)
-    with _alone(folder), _stop_signals() as stop:
+    with locked(folder, who="class run", instead="--out"), _stop_signals() as stop:
         computed_from = {
             "format": FORMAT,
             "assignment": digest_of_folder(assignment),
@@ -240,17 +239,6 @@ def _done_before(job: _Job, *, rerun_failed: bool) -> GradebookRow | None:
 
 def _pending(entry: Submitted) -> GradebookRow:
     return GradebookRow(entry.student, entry.path.name, "pending", None)
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Two runs in one folder would take each other's files away."""
-    with (folder / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise UsageError(f"{folder}: another class run is writing here; wait for it or end it") from None
-        yield
 
 
 @contextlib.contextmanager
