@@ -41,12 +41,7 @@ class Plugin:
 
     def parameters(self) -> dict[str, inspect.Parameter]:
         """The keyword-only parameters a configuration may set, with resolved annotations."""
-        signature = inspect.signature(self.target, eval_str=True)
-        return {
-            name: parameter
-            for name, parameter in signature.parameters.items()
-            if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-        }
+        return keyword_only(self.target)
 
 
 class Registry:
@@ -107,6 +102,15 @@ class Registry:
                 importlib.import_module(module.name)
         # Not before: after an import that failed, the next call says so again instead of knowing half.
         self._loaded = True
+
+
+def keyword_only(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """The keyword-only parameters of a class or function, with resolved annotations."""
+    return {
+        name: parameter
+        for name, parameter in inspect.signature(target, eval_str=True).parameters.items()
+        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
+    }
 
 
 def did_you_mean(name: str, known: Any) -> str:

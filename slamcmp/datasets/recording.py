@@ -6,7 +6,6 @@ returns a :class:`Recording` registers a source with the reader's parameters and
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -18,10 +17,11 @@ from annotated_types import Ge, Gt
 
 from slamcmp.datasets.camera_frames import RecordedFrames
 from slamcmp.datasets.recorded_odometry import OdometryKind, OdometryNoise, make_odometry
-from slamcmp.errors import DataError, UsageError
+from slamcmp.errors import DataError
 from slamcmp.models.camera import MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
+from slamcmp.support.shared_settings import SharedSettings
 from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 
 NotNegative = Annotated[float, Ge(0)]
@@ -96,21 +96,11 @@ def image_source(
     """
 
     def decorate(read: Reader) -> Source:
-        own = _keyword_only(read)
-        shared = {
-            key: parameter.replace(default=defaults.get(key, parameter.default))
-            for key, parameter in _keyword_only(RecordingSettings).items()
-        }
+        shared = SharedSettings(name, read, RecordingSettings, defaults)
 
         def split(parameters: dict[str, Any]) -> tuple[Recording, RecordingSettings]:
-            unknown = parameters.keys() - own.keys() - shared.keys()
-            if unknown:
-                raise UsageError(f"source {name!r} has no parameter {sorted(unknown)[0]!r}")
-            settings = RecordingSettings(
-                **{key: parameters.get(key, parameter.default) for key, parameter in shared.items()}
-            )
-            recording = read(**{key: value for key, value in parameters.items() if key in own})
-            return _selected(recording, settings), settings
+            settings, own = shared.split(parameters)
+            return _selected(read(**own), settings), settings
 
         def files(**parameters: Any) -> list[Path]:
             recording, _ = split(parameters)
@@ -119,26 +109,12 @@ def image_source(
         def source(seed: int, **parameters: Any) -> Log:
             return _log(*split(parameters), random_streams(seed).odometry)
 
-        source.__name__ = source.__qualname__ = read.__name__
-        source.__doc__, source.__module__ = read.__doc__, read.__module__
-        seed = inspect.Parameter("seed", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=int)
-        signature = inspect.Signature([seed, *own.values(), *shared.values()], return_annotation=Log)
-        source.__signature__ = signature  # type: ignore[attr-defined]
         register = sources.register(
             name, seeded=seeded, files=files, paths=tuple(paths), parameter_docs=setting_docs
         )
-        return register(source)
+        return register(shared.signed(source))
 
     return decorate
-
-
-def _keyword_only(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    signature = inspect.signature(target, eval_str=True)
-    return {
-        name: parameter
-        for name, parameter in signature.parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-    }
 
 
 @dataclass

@@ -6,7 +6,6 @@ a field of :class:`~slamcmp.worlds.settings.Settings`, shared by all.
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
@@ -17,6 +16,7 @@ from annotated_types import Ge, MultipleOf
 from slamcmp.errors import UsageError
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
+from slamcmp.support.shared_settings import SharedSettings
 from slamcmp.types import FloatArray, Log
 from slamcmp.worlds import paths
 from slamcmp.worlds.settings import NotNegative, Positive, Settings, field_docs
@@ -24,15 +24,6 @@ from slamcmp.worlds.simulate import World, simulate
 
 Builder = Callable[..., World]
 Source = Callable[..., Log]
-
-
-def _keyword_only(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
-    signature = inspect.signature(target, eval_str=True)
-    return {
-        name: parameter
-        for name, parameter in signature.parameters.items()
-        if parameter.kind is inspect.Parameter.KEYWORD_ONLY
-    }
 
 
 def planar_world(name: str, **defaults: Any) -> Callable[[Builder], Source]:
@@ -43,33 +34,18 @@ def planar_world(name: str, **defaults: Any) -> Callable[[Builder], Source]:
     """
 
     def decorate(build: Builder) -> Source:
-        own = _keyword_only(build)
-        shared = {
-            key: parameter.replace(default=defaults.get(key, parameter.default))
-            for key, parameter in _keyword_only(Settings).items()
-        }
+        shared = SharedSettings(name, build, Settings, defaults)
 
         def source(seed: int, **parameters: Any) -> Log:
-            unknown = parameters.keys() - own.keys() - shared.keys()
-            if unknown:
-                raise UsageError(f"source {name!r} has no parameter {sorted(unknown)[0]!r}")
-            settings = Settings(
-                **{key: parameters.get(key, parameter.default) for key, parameter in shared.items()}
-            )
+            settings, own = shared.split(parameters)
             streams = random_streams(seed)
             path_generator, map_generator = streams.world.spawn(2)
             if settings.map_seed is not None:
                 map_generator = np.random.default_rng(settings.map_seed)
-            chosen = {key: value for key, value in parameters.items() if key in own}
-            world = build(settings, path_generator, map_generator, **chosen)
+            world = build(settings, path_generator, map_generator, **own)
             return simulate(name, world, settings, streams)
 
-        source.__name__ = source.__qualname__ = build.__name__
-        source.__doc__, source.__module__ = build.__doc__, build.__module__
-        seed = inspect.Parameter("seed", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=int)
-        parameters = [seed, *own.values(), *shared.values()]
-        source.__signature__ = inspect.Signature(parameters, return_annotation=Log)  # type: ignore[attr-defined]
-        return sources.register(name, seeded=True, parameter_docs=field_docs)(source)
+        return sources.register(name, seeded=True, parameter_docs=field_docs)(shared.signed(source))
 
     return decorate
 
