@@ -78,7 +78,9 @@ def _pilot(experiment: str) -> Path:
 
 
 def _print(plan: SeedPlan, metric: str, power: float, alpha: float) -> None:
-    where = ", ".join(f"{path} = {value}" for path, value in plan.point.items())
+    from slamcmp.results.grid import point_name
+
+    where = point_name(plan.point)
     print(f"{plan.back_end} against {plan.compared_with}{f' at {where}' if where else ''}")
     lost = f", {plan.lost} not finished by both" if plan.lost else ""
     correlation = "" if math.isnan(plan.correlation) else f", correlation {plan.correlation:.2f}"

@@ -22,6 +22,7 @@ from scipy.special import chdtrc, chdtri
 
 from slamcmp.geometry import inverse, local
 from slamcmp.metrics.consistency import nees_series, quadratic_forms
+from slamcmp.metrics.matching import pose_dimension
 from slamcmp.types import FloatArray, GroundTruth, MeasurementStream, Run, SensorModel
 
 WINDOW = 10
@@ -129,7 +130,7 @@ def _nis_departure(run: Run) -> Departure | None:
 
 def _nees_departure(run: Run, truth: GroundTruth) -> Departure | None:
     values = nees_series(run.online, truth)
-    p = 3 if run.online.T_world_body.shape[-1] == 3 else 6
+    p = pose_dimension(run.online.T_world_body)
     limit = float(chdtri(p, FALSE_ALARM / values.size))
     outside = np.flatnonzero(values > limit)
     return (

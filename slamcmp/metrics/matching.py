@@ -37,6 +37,11 @@ def pose_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
     return local(estimated, true)
 
 
+def pose_dimension(T: FloatArray) -> int:
+    """Of the tangent space of poses (..., n+1, n+1): 3 in the plane, 6 in space."""
+    return 3 if T.shape[-1] == 3 else 6
+
+
 def rotation_angle(R: FloatArray) -> FloatArray:
     """Angles [rad] in [0, pi] of rotation matrices (..., n, n)."""
     if R.shape[-1] == 2:

@@ -15,7 +15,13 @@ from slamcmp.geometry import heading, rotation, translation
 from slamcmp.metrics.accuracy import position_errors
 from slamcmp.metrics.consistency import nees_series, quadratic_forms
 from slamcmp.metrics.gating import gate_counts
-from slamcmp.metrics.matching import heading_errors, matched_landmarks, pose_errors, translation_part
+from slamcmp.metrics.matching import (
+    heading_errors,
+    matched_landmarks,
+    pose_dimension,
+    pose_errors,
+    translation_part,
+)
 from slamcmp.registry import Plugin, metrics
 from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
@@ -188,7 +194,7 @@ def _trajectory_columns(
     which: str, trajectory: Trajectory, truth: GroundTruth | None, reference: bool
 ) -> dict[str, FloatArray]:
     poses = trajectory.T_world_body
-    frames, p = trajectory.t.size, 3 if poses.shape[-1] == 3 else 6
+    frames, p = trajectory.t.size, pose_dimension(poses)
     nothing = np.full(frames, math.nan)
     columns = _pose_columns(which, poses)
     known = truth is not None and bool(np.isfinite(poses).all())

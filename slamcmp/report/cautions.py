@@ -12,13 +12,7 @@ from scipy.special import bdtrc, chdtrc
 
 from slamcmp.metrics.consistency import average_band
 from slamcmp.results.certainty import last_frame_nees, runs_by_point
-from slamcmp.results.grid import (
-    has_values,
-    labels,
-    point_name,
-    reference_name,
-    swept_columns,
-)
+from slamcmp.results.grid import has_values, labels, point_name, pose_dimension, reference_name, swept_columns
 from slamcmp.results.store import Results
 from slamcmp.results.summary import ENOUGH_SEEDS
 
@@ -182,7 +176,7 @@ def _far(trials: pd.Series[Any], label: str, distances: Mapping[Any, float]) -> 
 
 def _average_tells(results: Results, own: pd.DataFrame, healthy: int) -> list[str]:
     """Overconfidence too small to see in one run but plain over all: ANEES of the last frame."""
-    dof = 6 if has_values(results.frames, ["online_err_5"]) else 3
+    dof = pose_dimension(results.frames)
     nees = last_frame_nees(results, own)
     if nees.runs < ENOUGH_SEEDS or 2 * healthy < len(own):
         return []

@@ -15,7 +15,7 @@ from slamcmp.metrics.statistics import (
     median_interval,
     wilson_interval,
 )
-from slamcmp.results.grid import at_point, grid_points, has_values, labels
+from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension
 from slamcmp.results.numbers import interval_text, number_text, share_text
 from slamcmp.results.store import Results
 
@@ -60,7 +60,7 @@ def worst_run(own: pd.DataFrame, column: str) -> tuple[float, str]:
 
 def last_frame_nees(results: Results, own: pd.DataFrame, which: str = "online") -> AverageNees:
     """ANEES over the finished runs at the log's last frame: there each run gives one independent value."""
-    dof = 6 if has_values(results.frames, ["online_err_5"]) else 3
+    dof = pose_dimension(results.frames)
     column, ok = f"{which}_nees", own[own["status"] == "ok"]
     if column not in results.frames or ok.empty:
         return average_nees([], dof)

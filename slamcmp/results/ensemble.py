@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
+from slamcmp.results.grid import pose_dimension
 from slamcmp.types import FloatArray
 
 FIRST_FRAMES = 10
@@ -87,7 +88,7 @@ def _from_frame_ten(nees: FloatArray, frames: pd.DataFrame) -> FloatArray:
 
 
 def _heading_nees(frames: pd.DataFrame) -> FloatArray:
-    if "online_err_3" in frames.columns:
+    if pose_dimension(frames) == 6:
         # Of a rotation in space the table holds no covariance, only its diagonal.
         return np.full(len(frames), math.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -96,7 +97,7 @@ def _heading_nees(frames: pd.DataFrame) -> FloatArray:
 
 
 def _position_nees(frames: pd.DataFrame) -> FloatArray:
-    if "online_err_3" in frames.columns:
+    if pose_dimension(frames) == 6:
         return np.full(len(frames), math.nan)
     x = _column(frames, "true_x") - _column(frames, "online_x")
     y = _column(frames, "true_y") - _column(frames, "online_y")
@@ -107,8 +108,7 @@ def _position_nees(frames: pd.DataFrame) -> FloatArray:
 
 
 def _pose_nees(frames: pd.DataFrame) -> FloatArray:
-    dimension = 6 if "online_err_3" in frames.columns else 3
-    return _from_frame_ten(_column(frames, "online_nees") / dimension, frames)
+    return _from_frame_ten(_column(frames, "online_nees") / pose_dimension(frames), frames)
 
 
 ENSEMBLE_METRICS: dict[str, EnsembleMetric] = {

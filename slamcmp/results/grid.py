@@ -1,4 +1,4 @@
-"""Which rows of the results a figure or table shows: back ends, grid points, representative trials."""
+"""The grid of an experiment in its tables: back ends, swept columns, points, their rows and their names."""
 
 from __future__ import annotations
 
@@ -9,10 +9,6 @@ import numpy as np
 import pandas as pd
 
 from slamcmp.results.store import Results
-
-
-class NotDrawable(Exception):
-    """A figure's inputs are not in these results; the message says which and why."""
 
 
 def labels(results: Results) -> list[str]:
@@ -53,26 +49,6 @@ def middle_point(results: Results) -> dict[str, Any]:
     return ok[len(ok) // 2]
 
 
-def typical_trial(results: Results) -> int:
-    """The trial with the median online error among those of the middle grid point where every run is ok.
-
-    Raises:
-        NotDrawable: there is no trial.
-    """
-    trials = at_point(results.trials, middle_point(results))
-    if trials.empty:
-        raise NotDrawable("the results hold no trial")
-    all_ok = (trials["status"] == "ok").groupby(trials["trial"]).all()
-    candidates = trials[trials["trial"].isin(all_ok.index[all_ok])]
-    if candidates.empty:
-        ok = trials[trials["status"] == "ok"]
-        candidates = ok if not ok.empty else trials
-    if "online_ate" not in candidates or candidates["online_ate"].isna().all():
-        return int(candidates["trial"].iloc[0])
-    errors = candidates.groupby("trial")["online_ate"].mean().sort_values(kind="stable")
-    return int(errors.index[(len(errors) - 1) // 2])
-
-
 def trial_name(results: Results, trial: int) -> str:
     """``trial 3 (seed 4, source.range_sigma_m = 0.1)``."""
     row = results.trials[results.trials["trial"] == trial].iloc[0]
@@ -106,6 +82,11 @@ def rows_of(table: pd.DataFrame, trial: int, label: str) -> pd.DataFrame:
     if table.empty:
         return table
     return table[(table["trial"] == trial) & (table["label"] == label)]
+
+
+def pose_dimension(frames: pd.DataFrame) -> int:
+    """Of the tangent space of the poses: 3 in the plane, 6 in space."""
+    return 6 if "online_err_5" in frames.columns else 3
 
 
 def has_values(table: pd.DataFrame, columns: Sequence[str]) -> bool:

@@ -30,6 +30,7 @@ from scipy.special import chdtri, ndtri, stdtrit
 
 from slamcmp.errors import DataError, UsageError
 from slamcmp.registry import did_you_mean
+from slamcmp.results.grid import at_point, grid_points, labels
 from slamcmp.results.store import Results
 from slamcmp.types import FloatArray
 
@@ -100,17 +101,13 @@ def plan_seeds(
     if metric not in trials.columns or not pd.api.types.is_float_dtype(trials[metric]):
         numeric = [str(name) for name in trials.columns if pd.api.types.is_float_dtype(trials[name])]
         raise UsageError(f"the pilot has no metric {metric!r}{did_you_mean(metric, numeric)}")
-    labels = [str(label) for label in trials["label"].unique()]
-    swept = [str(name) for name in trials.columns if "." in str(name)]
-    groups: list[tuple[tuple[Any, ...], pd.DataFrame]] = [((), trials)]
-    if swept:
-        groups = list(trials.groupby(swept, sort=False, dropna=False))
     plans: list[SeedPlan] = []
     most = 0
-    for values, rows in groups:
+    for point in grid_points(trials):
+        rows = at_point(trials, point)
         finished = rows[(rows["status"] == "ok") & rows[metric].notna()]
         table = finished.pivot(index="trial", columns="label", values=metric)
-        known = [label for label in labels if label in table.columns]
+        known = [label for label in labels(results) if label in table.columns]
         for label in known[1:]:
             pairs = table[[known[0], label]].dropna()
             most = max(most, len(pairs))
@@ -125,7 +122,7 @@ def plan_seeds(
             low, high = _pilot_range(spread, len(pairs), goal, power, alpha)
             plans.append(
                 SeedPlan(
-                    dict(zip(swept, values, strict=True)),
+                    point,
                     label,
                     known[0],
                     len(pairs),

@@ -18,7 +18,7 @@ from slamcmp.metrics.statistics import (
     signed_rank_test,
 )
 from slamcmp.results.certainty import failure_rate, runs_by_point, worst_run
-from slamcmp.results.grid import at_point, grid_points, has_values, labels, swept_columns
+from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension, swept_columns
 from slamcmp.results.numbers import interval_text, number_text
 from slamcmp.results.store import Results
 
@@ -144,7 +144,7 @@ def terminal_table(results: Results) -> pd.DataFrame:
 def summary_columns(results: Results) -> list[SummaryColumn]:
     """The metric columns of the summary that have a value, online before final before the whole run's."""
     known = metric_columns()
-    space = "SE(3)" if has_values(results.frames, ["online_err_5"]) else "SE(2)"
+    space = "SE(3)" if pose_dimension(results.frames) == 6 else "SE(2)"
     names = [f"{which}_{metric}" for which in ("online", "final") for metric in TRAJECTORY_METRICS]
     columns = []
     for name in [*names, *RUN_METRICS]:

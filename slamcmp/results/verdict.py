@@ -29,6 +29,7 @@ import pandas as pd
 
 from slamcmp.metrics.statistics import Interval, bootstrap_interval
 from slamcmp.results.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
+from slamcmp.results.grid import at_point, grid_points, point_name
 from slamcmp.results.published import Published, PublishedOrder
 from slamcmp.results.store import Results
 from slamcmp.types import FloatArray
@@ -100,9 +101,9 @@ class PublishedVerdict:
         inside = sum(each.verdict == "inside" for each in judged)
         parts = [f"{inside} of {len(judged)} judged values inside tolerance"] if judged else []
         for each in self.orders:
-            place = "".join(f", {path}={value}" for path, value in each.at.items())
             labels = " < ".join([each.pairs[0].better, *(pair.worse for pair in each.pairs)])
-            parts.append(f"{each.metric}{place}: {labels}: {each.verdict}")
+            place = ", ".join([each.metric, *filter(None, [point_name(each.at)])])
+            parts.append(f"{place}: {labels}: {each.verdict}")
         return "; ".join(parts)
 
     def as_dict(self) -> dict[str, Any]:
@@ -194,9 +195,7 @@ class _Measured:
     def __init__(self, trials: pd.DataFrame, frames: pd.DataFrame) -> None:
         self._trials = trials[trials["status"] == "ok"]
         self._frames = frames
-        swept = [str(column) for column in trials.columns if "." in str(column)]
-        points = trials[swept].drop_duplicates().to_dict("records") if swept else [{}]
-        self.points: list[dict[str, Any]] = [{str(k): v for k, v in point.items()} for point in points]
+        self.points = grid_points(trials)
 
     def runs(self, label: str, point: Mapping[str, Any]) -> int:
         return len(self._ok(label, point))
@@ -217,11 +216,7 @@ class _Measured:
         return pd.Series(values.to_numpy(float), index=ok["seed"])
 
     def _ok(self, label: str, point: Mapping[str, Any]) -> pd.DataFrame:
-        chosen = self._trials["label"] == label
-        for path, value in point.items():
-            column = self._trials[path]
-            chosen &= column.isna() if value is None or value != value else column == value
-        return self._trials[chosen]
+        return at_point(self._trials[self._trials["label"] == label], point)
 
     def _frames_of(self, ok: pd.DataFrame, label: str) -> pd.DataFrame:
         return self._frames[(self._frames["label"] == label) & self._frames["trial"].isin(ok["trial"])]

@@ -11,8 +11,8 @@ import pytest
 
 from slamcmp.report.cautions import cautions
 from slamcmp.report.figures.association import gated_labels, plot_association, share_kept
+from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.report.html import report_html
-from slamcmp.results.grid import NotDrawable
 from slamcmp.results.summary import paired_table, summary_table
 
 

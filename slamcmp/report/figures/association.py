@@ -13,13 +13,14 @@ from scipy.special import chdtri
 
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
+from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.results.grid import (
-    NotDrawable,
     at_point,
     has_values,
     labels,
     middle_point,
     point_name,
+    pose_dimension,
     swept_columns,
 )
 from slamcmp.results.store import Results
@@ -142,4 +143,4 @@ def _draw_runs(axes: Axes, results: Results, gated: list[str]) -> None:
 
 
 def _expected(results: Results) -> int:
-    return 6 if has_values(results.frames, ["online_err_5"]) else 3
+    return pose_dimension(results.frames)

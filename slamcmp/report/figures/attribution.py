@@ -17,7 +17,8 @@ from slamcmp.metrics.attribution import telescoped
 from slamcmp.metrics.statistics import median_interval
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import NotDrawable, at_point, middle_point, point_name
+from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.results.grid import at_point, middle_point, point_name
 from slamcmp.results.numbers import interval_text
 from slamcmp.results.store import Results
 

@@ -9,14 +9,8 @@ from matplotlib.figure import Figure
 
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import (
-    NotDrawable,
-    has_values,
-    labels,
-    milliseconds_per_frame,
-    reference_name,
-    swept_columns,
-)
+from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.results.grid import has_values, labels, milliseconds_per_frame, reference_name, swept_columns
 from slamcmp.results.store import Results
 
 

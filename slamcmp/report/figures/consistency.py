@@ -12,14 +12,8 @@ from numpy.typing import NDArray
 from slamcmp.metrics.consistency import average_band, chi2_band
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import (
-    NotDrawable,
-    at_point,
-    has_values,
-    labels,
-    middle_point,
-    point_name,
-)
+from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.results.grid import at_point, has_values, labels, middle_point, point_name, pose_dimension
 from slamcmp.results.store import Results
 
 NIS_BINS = 80
@@ -66,7 +60,7 @@ def plot_consistency(results: Results) -> Figure:
 
 def _draw_nees(axes: Axes, results: Results, frames: pd.DataFrame, which: str) -> dict[str, int]:
     column = f"{which}_nees"
-    dof = 6 if has_values(frames, ["online_err_5"]) else 3
+    dof = pose_dimension(frames)
     shown = {}
     for label in labels(results):
         own = frames[(frames["label"] == label) & (frames[column] > 0)]

@@ -14,13 +14,14 @@ from matplotlib.patches import Patch
 from slamcmp.metrics.consistency import average_band
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
+from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.results.grid import (
-    NotDrawable,
     at_point,
     has_values,
     middle_point,
     milliseconds_per_frame,
     point_name,
+    pose_dimension,
 )
 from slamcmp.results.store import Results
 
@@ -225,7 +226,7 @@ def _draw_end(
 
 
 def _draw_band(axes: Axes, results: Results, trials: pd.DataFrame, right: float) -> None:
-    dof = 6 if has_values(results.frames, ["online_err_5"]) else 3
+    dof = pose_dimension(results.frames)
     runs = int(trials["trial"].nunique())
     low, high = average_band(dof, runs)
     axes.axhspan(low, high, color=style.BAND, alpha=0.5, linewidth=0, zorder=0.5)

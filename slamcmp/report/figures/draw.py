@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from slamcmp.experiment.job.run_back_end import describe
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import NotDrawable
+from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.results.store import Results
 from slamcmp.support.atomic import write_atomically
 

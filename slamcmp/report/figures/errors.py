@@ -11,15 +11,8 @@ from matplotlib.patches import Patch
 
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import (
-    NotDrawable,
-    has_values,
-    labels,
-    reference_name,
-    rows_of,
-    trial_name,
-    typical_trial,
-)
+from slamcmp.report.figures.drawable import NotDrawable, typical_trial
+from slamcmp.results.grid import has_values, labels, pose_dimension, reference_name, rows_of, trial_name
 from slamcmp.results.store import Results
 
 COMPONENTS = {
@@ -52,7 +45,7 @@ def plot_errors(results: Results) -> Figure:
     ]
     if not shown:
         raise NotDrawable(f"no run of {trial_name(results, trial)} has errors")
-    p = 6 if has_values(results.frames, ["online_err_5"]) else 3
+    p = pose_dimension(results.frames)
     reference = reference_name(results)
     noun = "Error" if reference == "truth" else f"Difference from {reference}"
     figure = style.new_figure(

@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from slamcmp.metrics.information import KL
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
+from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.report.figures.observability import look, median_series, ok_frames
-from slamcmp.results.grid import NotDrawable, has_values, labels
+from slamcmp.results.grid import has_values, labels
 from slamcmp.results.store import Results
 
 ZERO_NAT = 1e-6

@@ -14,15 +14,8 @@ from scipy.special import chdtri
 
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import (
-    NotDrawable,
-    has_values,
-    labels,
-    reference_name,
-    rows_of,
-    trial_name,
-    typical_trial,
-)
+from slamcmp.report.figures.drawable import NotDrawable, typical_trial
+from slamcmp.results.grid import has_values, labels, reference_name, rows_of, trial_name
 from slamcmp.results.store import Results
 
 POSE_ELLIPSES = 12

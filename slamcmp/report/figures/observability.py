@@ -13,7 +13,8 @@ from slamcmp.metrics.information import KL
 from slamcmp.metrics.observability import NULLITY, SHIFT, TURN
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import NotDrawable, at_point, has_values, labels, middle_point, point_name
+from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.results.grid import at_point, has_values, labels, middle_point, point_name, pose_dimension
 from slamcmp.results.store import Results
 
 DRIFT = "drift_landmarks_m"
@@ -107,7 +108,7 @@ def look(results: Results, label: str) -> dict[str, Any]:
 
 
 def _draw_nullity(axes: Axes, results: Results, frames: pd.DataFrame) -> None:
-    right = 6 if has_values(frames, ["online_err_5"]) else 3
+    right = pose_dimension(frames)
     series = {label: median_series(frames, label, NULLITY) for label in labels(results)}
     ends: dict[float, list[str]] = {}
     for label, values in series.items():

@@ -13,14 +13,15 @@ from matplotlib.figure import Figure
 from slamcmp.metrics.statistics import median_interval
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
+from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.results.grid import (
-    NotDrawable,
     at_point,
     has_values,
     labels,
     middle_point,
     milliseconds_per_frame,
     point_name,
+    pose_dimension,
     swept_columns,
     value_text,
 )
@@ -134,7 +135,7 @@ def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, me
     if drawn:
         style.log_if_wide(axes, np.concatenate(drawn), ratio=4.0)
     if metric == "pose_nees":
-        expected = 6 if has_values(results.frames, ["online_err_5"]) else 3
+        expected = pose_dimension(results.frames)
         axes.axhline(expected, color="#444444", linewidth=0.8, linestyle=":", zorder=0.6)
     if _logarithmic(positions):
         style.log_axis(axes, "x")

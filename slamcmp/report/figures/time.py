@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.results.grid import NotDrawable, at_point, has_values, labels, middle_point, point_name
+from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.results.grid import at_point, has_values, labels, middle_point, point_name
 from slamcmp.results.store import Results
 
 BINS = 60
