@@ -185,25 +185,6 @@ def adjoint_of_inverse(T: FloatArray) -> FloatArray:
     return adjoint(inverse(T))
 
 
-def ad(xi: FloatArray) -> FloatArray:
-    """Derivative of the adjoint at the identity, (..., p, p): ``ad(a) @ b`` is the Lie bracket [a, b]."""
-    xi = np.asarray(xi, dtype=np.float64)
-    p = xi.shape[-1]
-    A = np.zeros((*xi.shape[:-1], p, p))
-    if p == 3:
-        A[..., 0, 1], A[..., 1, 0] = -xi[..., 2], xi[..., 2]
-        A[..., 0, 2], A[..., 1, 2] = xi[..., 1], -xi[..., 0]
-        return A
-    A[..., :3, :3] = A[..., 3:, 3:] = hat(xi[..., :3])
-    A[..., 3:, :3] = hat(xi[..., 3:])
-    return A
-
-
-def left_jacobian(xi: FloatArray) -> FloatArray:
-    """(..., p, p): ``exp(xi + d) ≈ exp(J_l d) exp(xi)``."""
-    return right_jacobian(-np.asarray(xi, dtype=np.float64))
-
-
 def right_jacobian(xi: FloatArray) -> FloatArray:
     """(..., p, p): ``exp(xi + d) ≈ exp(xi) exp(J_r d)`` (Solà 2018, eq. 163 and 179)."""
     xi = np.asarray(xi, dtype=np.float64)

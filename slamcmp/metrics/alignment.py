@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcmp.errors import DataError
-from slamcmp.geometry import inverse, pose, rotation, transform, translation
+from slamcmp.geometry import inverse, pose, transform
 from slamcmp.types import FloatArray
 
 
@@ -22,11 +22,6 @@ class Alignment:
     def points(self, p_estimated: FloatArray) -> FloatArray:
         """Points (..., n) of the estimate's world moved into the truth's."""
         return transform(self.T_true_estimated, self.scale * p_estimated)
-
-    def poses(self, T_estimated_body: FloatArray) -> FloatArray:
-        """Poses (..., n+1, n+1) of the estimate's world moved into the truth's."""
-        T = self.T_true_estimated
-        return pose(rotation(T) @ rotation(T_estimated_body), self.points(translation(T_estimated_body)))
 
 
 def align_points(p_estimated: FloatArray, p_true: FloatArray, *, with_scale: bool = False) -> Alignment:

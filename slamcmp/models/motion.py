@@ -37,13 +37,6 @@ class MotionModel(Protocol):
         """G, (..., 3, c)."""
 
 
-def increment_covariance(model: MotionModel, u: FloatArray, M: FloatArray, dt: float) -> FloatArray:
-    """Q = G M G^T in the body tangent, (..., 3, 3); singular where the controls move fewer than 3 ways."""
-    G = model.jacobian(u, dt)
-    Q: FloatArray = G @ M @ np.swapaxes(G, -1, -2)
-    return Q
-
-
 class Unicycle:
     """Speed [m/s] and turn rate [rad/s], held over the step: the exact arc ``exp((v, 0, w) dt)``."""
 

@@ -16,7 +16,6 @@ from slamcmp.models.motion import (
     Unicycle,
     WheelEncoders,
     compose_increments,
-    increment_covariance,
 )
 
 MODELS = {
@@ -53,11 +52,9 @@ def test_batches_give_what_single_controls_give(name):
     model, controls = MODELS[name]
     u = np.array(controls)
     T, G = model.increment(u, DT), model.jacobian(u, DT)
-    Q = increment_covariance(model, u, np.diag([0.01, 0.02]), DT)
     for i in range(len(u)):
         np.testing.assert_allclose(T[i], model.increment(u[i], DT), rtol=0, atol=1e-14)
         np.testing.assert_allclose(G[i], model.jacobian(u[i], DT), rtol=0, atol=1e-14)
-        np.testing.assert_allclose(Q[i], G[i] @ np.diag([0.01, 0.02]) @ G[i].T, rtol=0, atol=1e-15)
 
 
 def test_increments_by_hand():
@@ -87,21 +84,22 @@ def test_encoder_covariance_equals_the_unicycles_in_other_controls():
     u, dt, width = np.array([1.0, 0.3]), 0.5, 0.4
     to_wheels = dt * np.array([[1.0, -width / 2], [1.0, width / 2]])
     M = np.array([[0.04, 0.003], [0.003, 0.01]])
-    by_unicycle = increment_covariance(Unicycle(), u, M, dt)
-    by_wheels = increment_covariance(
-        WheelEncoders(track_width_m=width), to_wheels @ u, to_wheels @ M @ to_wheels.T, dt
-    )
+    by_turn_rate = Unicycle().jacobian(u, dt)
+    by_wheel = WheelEncoders(track_width_m=width).jacobian(to_wheels @ u, dt)
+    by_unicycle = by_turn_rate @ M @ by_turn_rate.T
+    by_wheels = by_wheel @ to_wheels @ M @ to_wheels.T @ by_wheel.T
     np.testing.assert_allclose(by_wheels, by_unicycle, rtol=0, atol=1e-15)
 
 
-def test_increment_covariance_matches_samples():
+def test_the_jacobian_carries_the_noise_as_samples_do():
     # 200 000 samples: relative error of a variance is about sqrt(2/200000) = 0.3 %; the bound is 2 %.
     u, M, dt = np.array([1.0, 0.8]), np.diag([0.01, 0.02]) ** 2, 1.0
     generator = np.random.default_rng(3)
     noisy = u + generator.standard_normal((200_000, 2)) * np.sqrt(np.diag(M))
     model = Unicycle()
     errors = g.log(g.inverse(model.increment(u, dt)) @ model.increment(noisy, dt))
-    Q = increment_covariance(model, u, M, dt)
+    G = model.jacobian(u, dt)
+    Q = G @ M @ G.T
     np.testing.assert_allclose(np.cov(errors.T), Q, rtol=0, atol=0.02 * np.abs(Q).max())
 
 

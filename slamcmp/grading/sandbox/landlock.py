@@ -20,11 +20,12 @@ _SCOPE_ALL = 0b11
 
 
 def landlock_abi() -> int:
-    """The kernel's version of the interface, 0 where there is none."""
-    try:
-        return kernel.call(_number("landlock_create_ruleset"), None, 0, 1)
-    except (OSError, NotImplementedError):
-        return 0
+    """The kernel's version of the interface.
+
+    Raises:
+        OSError: the kernel has no Landlock.
+    """
+    return kernel.call(_number("landlock_create_ruleset"), None, 0, 1)
 
 
 def apply_landlock(readable: Readable) -> int:
@@ -35,7 +36,7 @@ def apply_landlock(readable: Readable) -> int:
     Raises:
         OSError: the kernel has no Landlock, or no_new_privs is not set.
     """
-    abi = kernel.call(_number("landlock_create_ruleset"), None, 0, 1)
+    abi = landlock_abi()
     rights = (1 << _RIGHTS_OF_ABI.get(abi, _RIGHTS_FROM_ABI_5)) - 1
     attributes = struct.pack("=Q", rights)
     if abi >= 4:

@@ -197,19 +197,6 @@ class SandboxSession:
         assert answer is not None
         return answer
 
-    def invoke(
-        self, handle: Handle, method: str, *arguments: Any, deadline_s: float | None = None, **keywords: Any
-    ) -> Any:
-        """``method(*arguments, **keywords)`` of the object; arguments and answer as for :meth:`call`."""
-        message = {
-            "op": "invoke",
-            "handle": int(handle),
-            "name": method,
-            "arguments": arguments,
-            "keywords": keywords,
-        }
-        return self._request(message, f"{method}(…)", deadline_s)
-
     def call(self, name: str, *arguments: Any, deadline_s: float | None = None, **keywords: Any) -> Any:
         """A plain function of the submission.
 

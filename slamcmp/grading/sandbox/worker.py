@@ -42,7 +42,6 @@ class _Worker:
             "load": self._load,
             "construct": self._construct,
             "step": self._step,
-            "invoke": self._invoke,
             "call": self._call,
         }
 
@@ -120,10 +119,6 @@ class _Worker:
             names = ("t", "T_world_body", "P")
             answer["trajectory"] = _fields(thing.trajectory(), "trajectory()", names)
         return answer
-
-    def _invoke(self, message: dict[str, Any]) -> Any:
-        method = getattr(self._objects[message["handle"]], message["name"])
-        return method(*message["arguments"], **message["keywords"])
 
     def _call(self, message: dict[str, Any]) -> Any:
         return self._attribute(message["name"])(*message["arguments"], **message["keywords"])
