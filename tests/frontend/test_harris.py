@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.harris import harris_corners, harris_response
+from slamcmp.frontend.vision.harris import _quadric_peaks, harris_corners, harris_response
 from tests.frontend.photographs import photograph
 
 
@@ -95,6 +95,36 @@ def test_subpixel_corners_err_by_less_than_a_third_of_whole_pixels() -> None:
             offset = _smooth_corners(moved, subpixel=subpixel)[None] - before[subpixel][:, None] - [dx, dy]
             errors[subpixel].append(np.median(np.linalg.norm(offset, axis=-1).min(axis=1)))
     assert 3 * max(errors[True]) < min(errors[False])
+
+
+def test_the_peak_of_an_exact_quadric_is_found_exactly() -> None:
+    """Also where its axes are turned against the pixels' (a twist)."""
+    rng = np.random.default_rng(0)
+    peaks = rng.uniform(-0.4, 0.4, (50, 2))
+    rows, columns = np.full(50, 2), 2 + 5 * np.arange(50)
+    response = np.zeros((5, 250), np.float32)
+    y, x = np.mgrid[-2:3, -2:3]
+    for i, (px, py) in enumerate(peaks):
+        a, c = rng.uniform(0.5, 2.0, 2)
+        b = rng.uniform(-0.9, 0.9) * np.sqrt(a * c)
+        dx, dy = x - px, y - py
+        response[:, 5 * i : 5 * i + 5] = 100.0 - a * dx**2 - 2 * b * dx * dy - c * dy**2
+    np.testing.assert_allclose(_quadric_peaks(response, rows, columns), peaks, atol=1e-3)
+
+
+def test_an_edge_has_no_corner_whatever_its_strength() -> None:
+    """Harris's constant separates them: det / trace² of an edge is 0, of a right-angled corner about 1/4."""
+    image = np.full((80, 120), 60, dtype=np.uint8)
+    image[20:60, 30:90] = 200
+    image = cv2.GaussianBlur(image, (0, 0), 1.0)
+    response = cv2.cornerHarris(image, 3, 3, 0.04)
+    corners = harris_corners(image, quality=0.01)
+    assert len(corners.xy) == 4
+    assert response[20, 60] < 0
+    # k decides how round a corner must be: with 0.24 hardly any is.
+    assert harris_corners(image, k=0.04).response[0] > 10 * max(
+        harris_corners(image, k=0.2).response[:1], default=0.0
+    )
 
 
 def _smooth_corners(image: np.ndarray, *, subpixel: bool) -> np.ndarray:

@@ -5,10 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from slamcmp.frontend.vision.image_pair import extract_features, match_features, precision_recall
+from slamcmp.errors import UsageError
+from slamcmp.frontend.vision.degeneracy import Geometry
+from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.image_pair import Features, extract_features, match_features, precision_recall
 from slamcmp.frontend.vision.matching import hamming_distances, match_descriptors
 from tests.frontend.photographs import photograph
+from tests.frontend.two_views import K, two_views
 
 
 def _bits(*positions: int) -> np.ndarray:
@@ -83,6 +88,67 @@ def test_counts_of_a_pair_add_up_and_the_seed_repeats_it() -> None:
     again = match_features(first, second, seed=4)
     np.testing.assert_array_equal(pair.kept, again.kept)
     np.testing.assert_array_equal(pair.verification.F, again.verification.F)
+
+
+def test_every_choice_reaches_its_stage() -> None:
+    """Points seen twice by a camera that turns, and three descriptors that are doubtful."""
+    rng = np.random.default_rng(0)
+    views = two_views(0, 80, translation=(0.0, 0.0, 0.0), noise_px=0.3)
+    first = rng.integers(0, 256, (80, 32), dtype=np.uint8)
+    second = first.copy()
+    second[0] ^= np.uint8(1)
+    # The first one's second best is 4 bits worse; the last two of the first image look like one.
+    second[1] = second[0] ^ np.r_[np.full(4, 2, np.uint8), np.zeros(28, np.uint8)]
+    first[79] = first[78] ^ np.r_[np.full(3, 4, np.uint8), np.zeros(29, np.uint8)]
+    second[79] = rng.integers(0, 256, 32, dtype=np.uint8)
+    one, two = (_features(xy, bits) for xy, bits in ((views.first, first), (views.second, second)))
+
+    def numbers(**choices: object) -> tuple[int, int, int]:
+        counts = match_features(one, two, seed=0, **choices).counts
+        return counts["matches"], counts["ambiguous"], counts["not_mutual"]
+
+    strict, loose = numbers(), numbers(ratio=1.0)
+    assert strict[1] > loose[1] == 0
+    assert strict[2] > numbers(mutual=False)[2] == 0
+    geometries = [match_features(one, two, seed=0, K=each).verification.geometry for each in (K, None)]
+    assert geometries == [Geometry.PURE_ROTATION, Geometry.PLANE_OR_ROTATION]
+    kept = [match_features(one, two, seed=0, threshold_px=each).counts["kept"] for each in (0.2, 1.0)]
+    assert kept[0] < 0.6 * kept[1]
+    allowed = np.zeros((80, 80), dtype=bool)
+    allowed[:10] = True
+    assert match_features(one, two, seed=0, allowed=allowed).counts["tried"] == 10
+    wrong = two_views(1, 80, wrong=0.3)
+    one, two = _features(wrong.first, first), _features(wrong.second, first)
+    by = {
+        method: match_features(one, two, seed=0, method=method).counts["kept"]
+        for method in ("magsac", "ransac", "least_squares")
+    }
+    assert by["least_squares"] < 0.5 * min(by["magsac"], by["ransac"])
+
+
+def _features(xy: np.ndarray, descriptors: np.ndarray) -> Features:
+    count = len(xy)
+    corners = Corners(xy, np.ones(count), count, 0)
+    return Features(xy, np.ones(count), np.zeros(count), descriptors, corners, {}, {})
+
+
+def test_suppression_chooses_from_more_corners_than_it_keeps_and_spreads_them() -> None:
+    image = photograph(1)
+    spread = {}
+    for suppression in ("cells", "brown", "none"):
+        features = extract_features(image, count=200, suppression=suppression)
+        assert len(features.xy) == 200
+        spread[suppression] = cKDTree(features.xy).query(features.xy, 2)[0][:, 1].mean()
+    assert spread["cells"] > 1.3 * spread["none"]
+    assert spread["brown"] > 1.3 * spread["none"]
+    strongest = extract_features(image, count=200, suppression="none")
+    assert (np.diff(strongest.response) <= 0).all()
+    assert strongest.response.min() >= np.sort(strongest.corners.response)[-200]
+    whole = extract_features(image, count=200, subpixel=False)
+    np.testing.assert_array_equal(whole.xy, np.rint(whole.xy))
+    assert (strongest.xy != np.rint(strongest.xy)).any(axis=1).mean() > 0.9
+    with pytest.raises(UsageError, match="cells, brown or none"):
+        extract_features(image, suppression="all")  # type: ignore[arg-type]
 
 
 def test_precision_and_recall_by_hand() -> None:

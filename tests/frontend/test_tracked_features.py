@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -197,6 +198,25 @@ def test_making_a_stream_tells_how_many_images_are_done() -> None:
     source = ("rendered", {"camera": "mono", "steps": 3, **SMALL})
     stream, _ = make_stream(source, ("tracked_features", {"features": 50}), 0, beat)
     assert beat[1] == len(stream.frames) == 3
+
+
+def test_opencv_keeps_to_one_thread_and_gives_the_others_back() -> None:
+    log = room("mono", 2)
+    threads = []
+
+    class Counting(list):
+        def __getitem__(self, k: object) -> object:
+            threads.append(cv2.getNumThreads())
+            return super().__getitem__(k)  # type: ignore[index]
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        tracked_features(replace(log, images=Counting(log.images)), 0)
+        assert threads == [1, 1]
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
 
 
 def test_a_log_without_camera_or_images_is_refused() -> None:

@@ -160,6 +160,66 @@ def test_a_ray_is_placed_when_it_is_due_and_not_before() -> None:
     np.testing.assert_array_equal(tracks.placed, [True, False, False])
 
 
+def placed_of(pixels: np.ndarray, history: PoseHistory, **settings: float) -> tuple[np.ndarray, TrackTable]:
+    """Rows that are placed, with settings that place POINT unless they are changed."""
+    tracks = table_of(pixels)
+    usual = {"sigma_px": 0.5, "parallax_min_deg": 1.0, "depth_min_m": 0.3, "gate_probability": 0.999}
+    placed = place_rays(tracks, np.arange(len(pixels)), CAMERA, history, **(usual | settings))
+    return placed.rows, tracks
+
+
+def test_each_condition_of_placing_holds_by_itself() -> None:
+    pixels, history = views_of(POINT, 6), history_of(6, 0.01 * Q)
+    assert placed_of(pixels, history)[0].size == 1
+    angle = parallax_deg(CAMERA, history, pixels[:, 5], pixels[:, 0], np.array([5]))[0]
+    assert placed_of(pixels, history, parallax_min_deg=angle - 0.01)[0].size == 1
+    assert placed_of(pixels, history, parallax_min_deg=angle + 0.01)[0].size == 0
+    depth = CAMERA.camera_point(np.eye(4), POINT)[2]
+    assert placed_of(pixels, history, depth_min_m=depth - 0.01)[0].size == 1
+    assert placed_of(pixels, history, depth_min_m=depth + 0.01)[0].size == 0
+    # 12 % of the inverse depth: the deviation grows with the pixel's.
+    along = np.array([1.0, -1.0, 0.0])
+    back, used = np.arange(5, -1, -1)[None], np.ones((1, 6), dtype=bool)
+    exact = history_of(6, 1e-12 * Q)
+    found = triangulate(CAMERA, exact, pixels, back, used, sigma_px=1.0)
+    share = np.sqrt(along @ found.R[0] @ along) / (along @ found.z[0])
+    assert placed_of(pixels, exact, sigma_px=0.11 / share)[0].size == 1
+    assert placed_of(pixels, exact, sigma_px=0.13 / share)[0].size == 0
+    # Two views, far apart: nothing tests the point.
+    sideways = np.eye(4)
+    sideways[1, 3] = -0.5
+    wide = PoseHistory(5)
+    for T in (np.eye(4), sideways, sideways):
+        wide.advance(T, np.zeros((6, 6)))
+    shown = [CAMERA.predict(inverse(T), POINT) for T in (sideways @ sideways, sideways, np.eye(4))]
+    assert placed_of(np.array(shown)[None], wide)[0].size == 1
+    assert placed_of(np.array(shown)[None, 1:], wide)[0].size == 0
+
+
+def test_a_point_behind_any_of_its_views_is_not_placed() -> None:
+    """The lines of sight meet exactly, but one of them behind its camera."""
+    backwards = np.eye(4)
+    backwards[:2, 3] = -1.5, 0.4
+    history = PoseHistory(5)
+    for T in (np.eye(4), backwards, backwards):
+        history.advance(T, 1e-12 * Q)
+    back, used = np.array([[2, 1, 0]]), np.ones((1, 3), dtype=bool)
+
+    def image_of(point: np.ndarray) -> np.ndarray:
+        q = np.array([CAMERA.camera_point(T, point) for T in history.T_view[[2, 1, 0]]])
+        return q[:, :2] / q[:, 2:] * [CAMERA.fx_px, CAMERA.fy_px] + [CAMERA.cx_px, CAMERA.cy_px]
+
+    # In the frame of each view, (history maps the present frame into it): x decreases with age.
+    for point, expected in (([6.0, 0.3, 0.8], True), ([2.0, 0.3, 0.8], False), ([-3.0, 0.3, 0.8], False)):
+        views = [np.linalg.inv(T) for T in history.T_view[[2, 1, 0]]]
+        q = np.array([CAMERA.camera_point(T, np.array(point)) for T in views])
+        pixels = q[:, :2] / q[:, 2:] * [CAMERA.fx_px, CAMERA.fy_px] + [CAMERA.cx_px, CAMERA.cy_px]
+        found = triangulate(CAMERA, history, pixels[None], back, used, sigma_px=0.5)
+        assert found.misfit[0] < 1e-6
+        assert bool(found.in_front[0]) is expected
+        assert placed_of(pixels[None], history)[0].size == int(expected)
+
+
 def test_entries_bound_the_error_that_ten_points_share() -> None:
     """J Q J^T over n points with one common error is at most n times its diagonal blocks."""
     pixels = views_of(POINT, 6)

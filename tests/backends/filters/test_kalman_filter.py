@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slamcmp.backends.filters.kalman import KalmanFilter, KnownHeadingKalmanFilter
 from slamcmp.errors import UsageError
+from slamcmp.types import Problem
 from tests.toy_stream import toy_stream
 
 
@@ -58,6 +61,20 @@ def test_refuses_what_is_not_linear() -> None:
     stream, _, _ = toy_stream(sensor_name="relative_position")
     with pytest.raises(UsageError, match=r"the prior has a heading sigma of 0\.573 deg"):
         KnownHeadingKalmanFilter(stream.problem)
+
+
+def test_the_heading_s_variance_is_the_prior_s_and_what_the_increments_add() -> None:
+    prior, each = 1e-10, 3e-10
+    stream, _, _ = toy_stream(sensor_name="relative_position", frames=6)
+    problem = Problem(stream.problem.T_world_body, np.diag([1e-4, 1e-4, prior]), stream.problem.sensor)
+    filter_ = KnownHeadingKalmanFilter(problem, smooth=True)
+    expected = []
+    for frame in stream.frames:
+        filter_.update(replace(frame, Q=np.diag([1e-4, 1e-4, each if frame.k else 0.0])))
+        expected.append(prior + frame.k * each)
+        assert filter_.estimate().P[2, 2] == pytest.approx(expected[-1], rel=1e-12)
+        assert filter_.joint_covariance()[2, 2] == pytest.approx(expected[-1], rel=1e-12)
+    np.testing.assert_allclose(filter_.trajectory().P[:, 2, 2], expected, rtol=1e-12)
 
 
 def test_is_consistent_over_independent_runs() -> None:

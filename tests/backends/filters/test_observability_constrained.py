@@ -1,0 +1,41 @@
+"""The points of OC-EKF's Jacobians against the least squares that they are the solution of."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slamcmp.backends.filters.linearisation import ObservabilityConstrained
+
+
+@pytest.mark.parametrize("space", [2, 3])
+@pytest.mark.parametrize("count", [0, 1, 4])
+def test_the_shift_is_the_least_squares_solution(space: int, count: int) -> None:
+    """min |s|² + sum |l* - l_hat|² under l* - (p + s) = l_N - p_N, as one stacked system for s."""
+    rng = np.random.default_rng(count)
+
+    def pose(position: np.ndarray) -> np.ndarray:
+        T = np.eye(space + 1)
+        T[:-1, -1] = position
+        return T
+
+    start = rng.normal(size=space)
+    points = ObservabilityConstrained(pose(start))
+    placed = rng.normal(size=(count, space))
+    points.new(pose(start), np.arange(count), placed)
+    seen = np.arange(count)
+    null_position, null_landmarks = start, placed
+    # Three frames, so that the solution of one is the next one's condition.
+    for k in range(1, 4):
+        p, after = rng.normal(size=(2, space))
+        estimates = placed + 0.1 * rng.normal(size=(count, space))
+        A = np.tile(np.eye(space), (count + 1, 1))
+        b = np.concatenate([np.zeros((1, space)), estimates - null_landmarks + null_position - p]).ravel()
+        shift = np.linalg.lstsq(A, b, rcond=None)[0]
+        T_from, T_after = points.motion(k, pose(p), pose(after), seen, estimates)
+        np.testing.assert_allclose(T_from[:-1, -1], p + shift, atol=1e-12)
+        np.testing.assert_allclose(T_after[:-1, -1], after)
+        null_position = null_position + after - (p + shift)
+        # A known landmark is linearised where the null space has it, seen from the pose after.
+        _, known = points.known(pose(after), seen, estimates)
+        np.testing.assert_allclose(known - after, null_landmarks - null_position, atol=1e-12)
