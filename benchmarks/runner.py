@@ -26,8 +26,8 @@ import numpy as np
 
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.executors import warm_up
+from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.experiment.job.run_back_end import run_back_end
-from slamcmp.experiment.job.worker import make_stream
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.registry import back_ends

@@ -24,7 +24,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.registry import executors
 
 if TYPE_CHECKING:
-    from slamcmp.experiment.job.worker import Task
+    from slamcmp.experiment.job.task import Task
 
 THREAD_VARIABLES = (
     "OPENBLAS_NUM_THREADS",
@@ -114,8 +114,8 @@ class Serial:
         self._ended: list[Ended] = []
 
     def start(self, task: Task) -> None:
-        from slamcmp.experiment.job.run_back_end import describe
         from slamcmp.experiment.job.worker import perform
+        from slamcmp.support.messages import describe
 
         heartbeat = [0.0, 0.0, 0.0]
         fault = ""

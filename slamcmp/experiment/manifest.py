@@ -13,8 +13,8 @@ from typing import Any
 import slamcmp
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import Experiment
-from slamcmp.experiment.content_key import PACKAGE, versions
 from slamcmp.results.store import finite
+from slamcmp.support.code_version import PACKAGE, versions
 
 
 def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:

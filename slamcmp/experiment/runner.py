@@ -13,7 +13,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.config.trials import Trial
 from slamcmp.experiment.executors import Executor
-from slamcmp.experiment.job.worker import truth_path
+from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.plan import Plan, plan_experiment
 from slamcmp.experiment.schedule import Schedule

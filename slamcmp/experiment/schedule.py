@@ -13,13 +13,14 @@ import slamcmp.errors
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.config.trials import RunJob, StreamJob, Trial
-from slamcmp.experiment.content_key import versions
 from slamcmp.experiment.executors import Ended, Executor
-from slamcmp.experiment.job.worker import Task, scored, stream_path, truth_path
+from slamcmp.experiment.job.task import Task, stream_path, truth_path
+from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.plan import Plan
 from slamcmp.metrics import score_run
 from slamcmp.results.run_file import StoredRun, load_run, load_truth, run_status, save_run
 from slamcmp.support.atomic import storage_error
+from slamcmp.support.code_version import versions
 from slamcmp.support.memory import machine_memory_mb
 from slamcmp.support.progress import Watcher
 from slamcmp.types import Run, Status, Trajectory

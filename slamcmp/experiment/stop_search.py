@@ -17,7 +17,7 @@ import pandas as pd
 
 from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.experiment.config.trials import Trial
-from slamcmp.experiment.job.worker import run_path, truth_path
+from slamcmp.experiment.job.task import run_path, truth_path
 from slamcmp.experiment.tables import trial_truth
 from slamcmp.metrics import score_run
 from slamcmp.metrics.statistics import Interval, median_interval, paired_interval

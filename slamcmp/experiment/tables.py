@@ -15,7 +15,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.config.trials import RunJob, Trial
 from slamcmp.experiment.inspection import FINDINGS, Inspector
-from slamcmp.experiment.job.worker import posteriors_path, run_path, stream_path, truth_path
+from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.metrics.information import KL, last_kl, median_kl
 from slamcmp.results.posteriors import kl_series, load_posteriors

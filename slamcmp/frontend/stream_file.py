@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
@@ -14,6 +15,7 @@ from slamcmp.support.atomic import write_atomically
 from slamcmp.types import Detections, Frame, FrontEndReport, MeasurementStream, Problem
 
 FORMAT = "slamcmp-stream-1"
+AnyArray = NDArray[Any]
 
 
 def save_stream(stream: MeasurementStream, path: Path | str) -> None:
@@ -101,15 +103,16 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
     if len(data["ids"]) != (ends[-1] if ends.size else 0):
         raise DataError("the observation arrays do not have the length that the frames add up to")
     entries = _entries(data)
+    # Copies: the base of a slice is the whole array, and with it the future.
     frames = tuple(
         Frame(
             k,
             float(data["t"][k]),
-            data["T_prev_body"][k],
-            data["Q"][k],
-            data["ids"][a:b],
-            data["z"][a:b],
-            data["R"][a:b],
+            _alone(data["T_prev_body"][k]),
+            _alone(data["Q"][k]),
+            _alone(data["ids"][a:b]),
+            _alone(data["z"][a:b]),
+            _alone(data["R"][a:b]),
             entries.get(k),
         )
         for k, (a, b) in enumerate(zip(starts, ends, strict=True))
@@ -125,6 +128,13 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
     return MeasurementStream(Problem(data["prior_T"], data["prior_P"], sensor), frames, report)
 
 
+def _alone(part: AnyArray) -> AnyArray:
+    """A copy that cannot be written to either."""
+    part = part.copy()
+    part.flags.writeable = False
+    return part
+
+
 def _entries(data: dict[str, Any]) -> dict[int, Detections]:
     """The landmarks that enter, by frame."""
     if "entry_frame" not in data:
@@ -133,7 +143,7 @@ def _entries(data: dict[str, Any]) -> dict[int, Detections]:
     if len(data["entry_ids"]) != ends[-1]:
         raise DataError("the entries do not have the length that their frames add up to")
     return {
-        k: Detections(data["entry_z"][b - m : b], data["entry_R"][b - m : b], data["entry_ids"][b - m : b])
+        k: Detections(*(_alone(data[f"entry_{name}"][b - m : b]) for name in ("z", "R", "ids")))
         for k, m, b in zip(
             data["entry_frame"].tolist(), data["entry_size"].tolist(), ends.tolist(), strict=True
         )

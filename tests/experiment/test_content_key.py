@@ -9,9 +9,10 @@ import pytest
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.trials import make_trials
-from slamcmp.experiment.content_key import PACKAGE, code_version, data_digests, import_closure
+from slamcmp.experiment.content_key import data_digests
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.registry import sources
+from slamcmp.support.code_version import PACKAGE, import_closure
 
 
 def test_closure_of_a_back_end_holds_its_models_and_no_other_back_end() -> None:
@@ -28,17 +29,6 @@ def test_what_reports_is_no_part_of_what_computes() -> None:
     names = {path.name for path in reached}
     assert {"run_back_end.py", "worker.py", "run_file.py"} <= names
     assert not names & {"runner.py", "cli.py", "progress.py", "store.py", "executors.py"}
-
-
-def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("import helper\n")
-    (tmp_path / "helper.py").write_text("GATE = 9\n")
-    (tmp_path / "other.py").write_text("x = 1\n")
-    first = code_version([tmp_path / "mine.py"])
-    (tmp_path / "other.py").write_text("x = 22\n")
-    assert code_version([tmp_path / "mine.py"]) == first
-    (tmp_path / "helper.py").write_text("GATE = 16\n")
-    assert code_version([tmp_path / "mine.py"]) != first
 
 
 def keys(path: Path) -> tuple[str, list[str]]:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamcmp.experiment.job.worker import make_stream, truth_of_stream, truth_path
+from slamcmp.experiment.job.make_stream import make_stream, truth_of_stream
+from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.run_file import StoredRun, load_run, load_truth, save_run
 from slamcmp.types import MeasurementStream, Run, Trajectory

@@ -12,7 +12,7 @@ import pytest
 
 from slamcmp.backends.gtsam_smoothers.batch import Batch
 from slamcmp.errors import UsageError
-from slamcmp.experiment.job.worker import make_stream
+from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.frontend.tracked_features import follow, tracked_features
 from slamcmp.frontend.vision.tracker import STAGES, TrackingSettings

@@ -11,7 +11,7 @@ from slamcmp.experiment.runner import run_experiment
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.report import draw_figures, write_report
 from slamcmp.support.atomic import write_atomically
-from tests.experiment.conftest import PLUGINS
+from tests.conftest import PLUGINS
 
 
 def test_old_file_outlives_a_write_that_fails(tmp_path: Path) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 
 import slamcmp.experiment.job.worker  # noqa: F401
-from slamcmp.experiment.content_key import versions
 from slamcmp.registry import back_ends, front_ends, metrics, sources
+from slamcmp.support.code_version import versions
 from slamcmp.support.plugin_models import parameter_model
 
 metrics.names()

@@ -13,6 +13,7 @@ import numpy as np
 from slamcmp.errors import DivergedError
 from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
 from slamcmp.support.memory import PeakMemory
+from slamcmp.support.messages import describe
 from slamcmp.types import (
     TANGENT_DIM,
     BoolArray,
@@ -320,12 +321,3 @@ def _final_fault(hindsight: Mapping[str, Any]) -> str:
     if joint is not None and not np.isfinite(joint).all():
         return "the joint covariance is not finite"
     return ""
-
-
-def describe(error: BaseException) -> str:
-    """``ValueError: message (my_file.py:12, update)``: the deepest line outside installed libraries."""
-    entries = traceback.extract_tb(error.__traceback__)
-    own = [entry for entry in entries if "site-packages" not in entry.filename]
-    place = (own or list(entries))[-1:]
-    where = "".join(f" ({entry.filename.rsplit('/', 1)[-1]}:{entry.lineno}, {entry.name})" for entry in place)
-    return f"{type(error).__name__}: {error}{where}"

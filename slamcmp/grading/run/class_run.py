@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.errors import SlamcmpError, UsageError
-from slamcmp.experiment.content_key import code_version, versions
 from slamcmp.grading.hand_in.class_folder import (
     Submitted,
     digest_of_folder,
@@ -41,6 +40,7 @@ from slamcmp.grading.run.grade_process import (
     write_pages,
 )
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.code_version import code_version, versions
 from slamcmp.support.lock import locked
 from slamcmp.support.progress import Watcher
 

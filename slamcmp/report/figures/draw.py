@@ -12,12 +12,12 @@ import matplotlib
 import pandas as pd
 from matplotlib.figure import Figure
 
-from slamcmp.experiment.job.run_back_end import describe
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.results.store import Results
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.messages import describe
 
 ORDER = ("map", "errors", "consistency", "observability", "kl_from_batch", "time", "budget", "sweep")
 """How a report reads; figures that are not named here follow in alphabetical order."""

@@ -1,0 +1,88 @@
+"""A measurement stream from a source and a front end, and what of the log's truth belongs to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, MutableSequence, Sequence
+from dataclasses import replace
+from typing import Any, overload
+
+from slamcmp.errors import SlamcmpError
+from slamcmp.experiment.job.task import Task, stream_path
+from slamcmp.frontend.stream_file import save_stream
+from slamcmp.registry import front_ends, sources
+from slamcmp.results.run_file import StoredTruth, save_truth
+from slamcmp.support.messages import describe
+from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.types import CameraFrame, GroundTruth, Log, MeasurementStream
+
+
+def make_stream(
+    source: tuple[str, Mapping[str, Any]],
+    front_end: tuple[str, Mapping[str, Any]],
+    seed: int | None,
+    heartbeat: MutableSequence[float] | None = None,
+) -> tuple[MeasurementStream, Log]:
+    """The stream that a source and a front end, each (name, parameters), make from a seed; and its log.
+
+    ``heartbeat[1]`` is set to the images taken so far.
+    """
+    seed = 0 if seed is None else seed
+    plugin = sources.get(source[0])
+    log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
+    if log.images is not None and heartbeat is not None:
+        log = replace(log, images=_Counted(log.images, heartbeat))
+    plugin = front_ends.get(front_end[0])
+    stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
+    return stream, log
+
+
+class _Counted(Sequence[CameraFrame]):
+    """Images that tell how many of them were asked for: making a stream of images takes a while."""
+
+    def __init__(self, images: Sequence[CameraFrame], heartbeat: MutableSequence[float]) -> None:
+        self._images, self._heartbeat = images, heartbeat
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    @overload
+    def __getitem__(self, k: int) -> CameraFrame: ...
+    @overload
+    def __getitem__(self, k: slice) -> Sequence[CameraFrame]: ...
+    def __getitem__(self, k: int | slice) -> CameraFrame | Sequence[CameraFrame]:
+        self._heartbeat[1] += 1
+        return self._images[k]
+
+
+def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> GroundTruth | None:
+    """A log's truth with its ``outliers`` over the stream's observations.
+
+    They are None where the front end does not say which detections it kept.
+    """
+    if truth is None or truth.outliers is None:
+        return truth
+    outliers = None
+    if stream.report is not None:
+        kept = stream.report.kept
+        fits = [mask.size == each.size for mask, each in zip(truth.outliers, kept, strict=True)]
+        if all(fits):
+            outliers = tuple(mask[each] for mask, each in zip(truth.outliers, kept, strict=True))
+    return replace(truth, outliers=outliers)
+
+
+def store_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
+    """Make the stream of a stream job and leave it, and what is known about it, in the results folder."""
+    try:
+        stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed, heartbeat)
+    except Exception as error:
+        text = str(error) if isinstance(error, SlamcmpError) else describe(error)
+        save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
+        return
+    save_stream(stream, stream_path(task.folder, stream.digest))
+    truth = truth_of_stream(log.truth, stream)
+    totals = {} if stream.report is None else stream.report.totals()
+    if log.truth is not None and truth is not None and truth.outliers is not None:
+        for name, masks in (("outliers", log.truth.outliers), ("outliers kept", truth.outliers)):
+            totals[name] = sum(int(mask.sum()) for mask in masks or ())
+    known = StoredTruth(stream.digest, len(stream.frames), truth, totals, warnings=log.warnings)
+    save_truth(known, task.result)

@@ -1,0 +1,64 @@
+"""A job as a worker is told about it, and where its files lie in the results folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slamcmp.experiment.config.record import Record
+
+
+@dataclass(frozen=True)
+class Task:
+    """A job as a worker needs it: names and plain values only."""
+
+    kind: str
+    """``stream`` or ``run``."""
+    key: str
+    folder: Path
+    """The results folder."""
+    plugins: tuple[tuple[str, Mapping[str, Any]], ...]
+    """Specification and parameters: of source and front end, or of the back end."""
+    seed: int | None
+    label: str = ""
+    stream_key: str = ""
+    digest: str = ""
+    """Of the stream that a run reads."""
+    time_limit_s: float = float("inf")
+    memory_limit_mb: float | None = None
+    record: Record | None = None
+    """What to record besides."""
+    own_gate: float | None = None
+    """Probability of a gate by the back end's own covariance."""
+
+    @property
+    def result(self) -> Path:
+        """The file that this job leaves."""
+        return (truth_path if self.kind == "stream" else run_path)(self.folder, self.key)
+
+    @property
+    def online_part(self) -> Path:
+        """What a run leaves when its frames are done, for the case that it does not come to its end."""
+        return self.result.with_name(f".{self.key}.online.npz")
+
+
+def run_path(folder: Path, key: str) -> Path:
+    """Where the run of that key lies."""
+    return folder / "runs" / f"{key}.npz"
+
+
+def posteriors_path(folder: Path, key: str) -> Path:
+    """Where the posteriors that the run of that key kept lie, if it kept any."""
+    return folder / "runs" / f"{key}.posteriors.npz"
+
+
+def stream_path(folder: Path, digest: str) -> Path:
+    """Where the stream of that digest lies."""
+    return folder / "streams" / f"{digest}.npz"
+
+
+def truth_path(folder: Path, key: str) -> Path:
+    """Where the truth of the stream job of that key lies: never in the file that back ends are fed from."""
+    return folder / "streams" / f"{key}.truth.npz"
