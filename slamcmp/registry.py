@@ -7,6 +7,7 @@ fast.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
 import importlib
@@ -88,6 +89,8 @@ class Registry:
         """
         if ".py:" in name:
             return load_user_plugin(name, self.kind)
+        if name in _in_session:
+            return _in_session[name]
         self._load()
         if name not in self._plugins:
             raise UsageError(f"unknown {self.kind} {name!r}{did_you_mean(name, self._plugins)}")
@@ -111,6 +114,22 @@ def keyword_only(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         for name, parameter in inspect.signature(target, eval_str=True).parameters.items()
         if parameter.kind is inspect.Parameter.KEYWORD_ONLY
     }
+
+
+SESSION = "session"
+"""The trait of a plug-in that only this process has, a class from a notebook's cell for instance."""
+_in_session: dict[str, Plugin] = {}
+
+
+@contextlib.contextmanager
+def in_session(plugins: Mapping[str, Plugin]) -> Iterator[None]:
+    """Let every registry find these by their keys, in this process and for as long as the context lasts."""
+    _in_session.update(plugins)
+    try:
+        yield
+    finally:
+        for key in plugins:
+            _in_session.pop(key, None)
 
 
 def did_you_mean(name: str, known: Any) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -27,7 +26,7 @@ def plot(
     """Draw an experiment's figures into its results folder."""
     from slamcmp.errors import UsageError
     from slamcmp.report import draw_figures
-    from slamcmp.results.store import load_results
+    from slamcmp.results.store import find_results, load_results
 
     wanted = tuple(part.strip() for part in formats.split(","))
     unknown = [name for name in wanted if name not in ("png", "svg", "pdf")]
@@ -45,13 +44,7 @@ def plot(
 def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:
     """Write an experiment's report as one HTML file that needs no network."""
     from slamcmp.report import write_report
-    from slamcmp.results.store import load_results
+    from slamcmp.results.store import find_results, load_results
 
     found = load_results(find_results(results))
     print(write_report(found, found.folder / "report.html"))
-
-
-def find_results(results: str) -> Path:
-    """The folder ``results``, or else ``results/RESULTS``."""
-    path = Path(results)
-    return path if path.is_dir() or not (Path("results") / results).is_dir() else Path("results") / results

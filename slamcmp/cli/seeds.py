@@ -61,10 +61,10 @@ def seeds(
 
 def _pilot(experiment: str) -> Path:
     """The results folder meant: itself, ``results/NAME``, or that of the experiment's file."""
-    from slamcmp.cli.results import find_results
     from slamcmp.errors import MissingDataError
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
+    from slamcmp.results.store import find_results
 
     folder = find_results(experiment)
     if not folder.is_dir():

@@ -18,7 +18,7 @@ from typing import Any
 
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config.component import Component
-from slamcmp.registry import Plugin
+from slamcmp.registry import SESSION, Plugin
 from slamcmp.support.code_version import PACKAGE, code_version, file_digest, versions
 from slamcmp.support.plugin_models import bind_parameters
 
@@ -47,7 +47,7 @@ def run_key(
     recording: Mapping[str, Any] | None = None,
 ) -> str:
     """Of a back end's run, with its scores, on the stream of that key."""
-    return _hash(
+    key = _hash(
         {
             "stream": stream,
             "back_end": [back_end.name, dict(back_end.parameters), back_end.own_gate],
@@ -57,6 +57,9 @@ def run_key(
             "versions": versions(),
         }
     )
+    session = back_end.plugin().traits.get(SESSION)
+    # The text of what a notebook defined is not known for sure: no other session may take its result over.
+    return key if session is None else f"{SESSION}-{session}-{key}"
 
 
 def stream_code(source: Component, front_end: Component) -> set[Path]:

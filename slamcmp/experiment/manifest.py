@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import linecache
 import platform
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 import slamcmp
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import Experiment
+from slamcmp.registry import SESSION
 from slamcmp.results.store import finite
 from slamcmp.support.code_version import PACKAGE, versions
 
@@ -33,7 +35,23 @@ def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
         "config": experiment.as_dict(),
         "config_file": None if experiment.path is None else str(experiment.path),
         "seeds": [seed for seed in experiment.seeds if seed is not None],
+        "in_session": in_session(experiment),
     }
+
+
+def in_session(experiment: Experiment) -> dict[str, str | None]:
+    """Of each back end that only this process has the label, and the text of the cell or file it is from."""
+    plugins = {choice.label: choice.plugin() for choice in experiment.back_ends}
+    return {label: _text(each.target) for label, each in plugins.items() if SESSION in each.traits}
+
+
+def _text(target: Any) -> str | None:
+    """Through a function's code: a class of a notebook's cell does not know where it is from."""
+    for each in (target, *getattr(target, "__dict__", {}).values()):
+        code = getattr(each, "__code__", None)
+        if code is not None:
+            return "".join(linecache.getlines(code.co_filename)) or None
+    return None
 
 
 def now() -> str:

@@ -18,12 +18,12 @@ from slamcmp.experiment.inspection import FINDINGS, Inspector
 from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.metrics.information import KL, last_kl, median_kl
+from slamcmp.results.of_runs import COST_COLUMNS, outcome
 from slamcmp.results.posteriors import kl_series, load_posteriors
 from slamcmp.results.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.types import GroundTruth
 
 KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")
-COST_COLUMNS = ("update_s", "estimate_s", "final_s", "peak_memory_mb")
 
 
 def gather(
@@ -65,7 +65,15 @@ def gather(
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest, kinds)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
-            rows.append({**keys, **scores, **_outcome(run, name), **inspector.findings(run.run), **recorded})
+            rows.append(
+                {
+                    **keys,
+                    **scores,
+                    **outcome(run.run, run.completion, name),
+                    **inspector.findings(run.run),
+                    **recorded,
+                }
+            )
             of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
             of_landmarks = landmark_table(run.run, truth, reference=borrowed)
             for tables, table in ((frames, of_frames), (landmarks, of_landmarks)):
@@ -139,22 +147,6 @@ def _keys(trial: Trial, choice: Component, digest: str, kinds: Mapping[str, str]
         # Where there is a number, the run used its own choice of that stream's observations.
         "own_gate": math.nan if choice.own_gate is None else choice.own_gate,
         **{path: _cell(value, kinds[path]) for path, value in trial.swept.items()},
-    }
-
-
-def _outcome(stored: StoredRun, reference: str) -> dict[str, Any]:
-    run = stored.run
-    return {
-        "status": run.status,
-        "message": run.message,
-        "completion": stored.completion,
-        "frames": run.frames,
-        "reference": reference,
-        # Of a killed worker no times are known; zero would read as fast.
-        "update_s": float(run.update_s.sum()) if run.update_s.size else math.nan,
-        "estimate_s": float(run.estimate_s.sum()) if run.estimate_s.size else math.nan,
-        "final_s": run.final_s,
-        "peak_memory_mb": run.peak_memory_mb,
     }
 
 

@@ -86,3 +86,9 @@ def load_results(folder: Path | str) -> Results:
     except (OSError, ValueError) as error:
         raise DataError(f"{folder}: the results are damaged ({error}); run the experiment again") from error
     return Results(folder, manifest, **tables)
+
+
+def find_results(results: str) -> Path:
+    """The folder ``results``, or else ``results/RESULTS``."""
+    path = Path(results)
+    return path if path.is_dir() or not (Path("results") / results).is_dir() else Path("results") / results

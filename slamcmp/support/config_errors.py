@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from slamcmp.errors import UsageError
 from slamcmp.registry import did_you_mean
@@ -11,11 +11,26 @@ from slamcmp.registry import did_you_mean
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-    from slamcmp.support.yaml_source import KeyPath, YamlSource
+    from slamcmp.support.yaml_source import KeyPath
+
+
+class ConfigSource(Protocol):
+    """A configuration that knows where everything in it stands: a YAML file, or a mapping in a program."""
+
+    data: dict[str, Any]
+
+    def existing(self, path: Sequence[str | int]) -> KeyPath:
+        """``path`` without the steps that lead nowhere."""
+
+    def position(self, path: Sequence[str | int], *, key: bool = False) -> tuple[int, ...]:
+        """Sorts mistakes in the order of the source."""
+
+    def where(self, path: Sequence[str | int], *, key: bool = False) -> str:
+        """The place of the value (of its key with ``key=True``) as a reader finds it."""
 
 
 class ConfigError(UsageError):
-    """A configuration cannot be used; one line a mistake, each ``file:line:column: what``."""
+    """A configuration cannot be used; one line a mistake, each with its place: ``file:line:column: what``."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         super().__init__("\n".join(lines))
@@ -23,15 +38,16 @@ class ConfigError(UsageError):
 
 
 class ConfigErrors:
-    """The mistakes found so far in one file."""
+    """The mistakes found so far in one configuration."""
 
-    def __init__(self, source: YamlSource) -> None:
+    def __init__(self, source: ConfigSource) -> None:
         self._source = source
-        self._found: dict[tuple[int, int], list[str]] = {}
+        self._found: dict[tuple[tuple[int, ...], str], list[str]] = {}
 
     def add(self, path: Sequence[str | int], what: str, *, key: bool = False) -> None:
         """Note a mistake at the value (``key=True``: at the key) that ``path`` leads to."""
-        messages = self._found.setdefault(self._source.position(path, key=key), [])
+        place = self._source.position(path, key=key), self._source.where(path, key=key)
+        messages = self._found.setdefault(place, [])
         if what not in messages:
             messages.append(what)
 
@@ -58,10 +74,7 @@ class ConfigErrors:
         """Raise :class:`ConfigError` with every mistake, in the order of the file."""
         if self._found:
             raise ConfigError(
-                [
-                    f"{self._source.name}:{line}:{column}: {' or: '.join(messages)}"
-                    for (line, column), messages in sorted(self._found.items())
-                ]
+                [f"{where}: {' or: '.join(messages)}" for (_, where), messages in sorted(self._found.items())]
             )
 
 

@@ -39,6 +39,11 @@ class YamlSource:
         self._root = root
         self.data: dict[str, Any] = _plain(root)
 
+    def where(self, path: Sequence[str | int], *, key: bool = False) -> str:
+        """``file:line:column`` of the value at ``path`` (of its key with ``key=True``)."""
+        line, column = self.position(path, key=key)
+        return f"{self.name}:{line}:{column}"
+
     def existing(self, path: Sequence[str | int]) -> KeyPath:
         """``path`` without the steps that lead nowhere (pydantic's names of a union's members)."""
         node: Any = self._root

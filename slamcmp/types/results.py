@@ -10,6 +10,7 @@ import numpy as np
 
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_unique
+from slamcmp.types.html import facts_html
 
 Status = Literal["ok", "diverged", "crashed", "timed_out"]
 
@@ -123,3 +124,26 @@ class Run:
     def completion(self) -> float:
         """Share of the stream's frames that were finished, 0 to 1."""
         return self.online.t.size / self.frames
+
+    def __repr__(self) -> str:
+        about = f"{self.status}, {self.online.t.size} of {self.frames} frames"
+        return f"<Run {self.back_end!r}: {about}{f': {self.message}' if self.message else ''}>"
+
+    def _repr_html_(self) -> str:
+        """How it went, for notebooks."""
+        facts = [
+            ("status", f"{self.status}: {self.message}" if self.message else self.status),
+            ("frames", f"{self.online.t.size} of {self.frames}"),
+            ("final trajectory", "none" if self.final is None else f"yes, in {self.final_s:.3g} s"),
+            ("landmarks", "none" if self.landmarks is None else str(self.landmarks.ids.size)),
+        ]
+        for name, seconds in (("update", self.update_s), ("estimate", self.estimate_s)):
+            if np.isfinite(seconds).any():
+                facts.append((f"{name}, median", f"{1e3 * float(np.nanmedian(seconds)):.3g} ms"))
+        if np.isfinite(self.peak_memory_mb):
+            facts.append(("memory, growth of the peak", f"{self.peak_memory_mb:.3g} MB"))
+        facts += [(name, f"{value:.4g}") for name, value in self.final_diagnostics.items()]
+        facts.append(
+            ("stream", f"digest {self.digest[:12]}{'' if self.seed is None else f', seed {self.seed}'}")
+        )
+        return facts_html(f"Run of {self.back_end}", facts)

@@ -56,7 +56,7 @@ class Checker:
         except UsageError as error:
             self._errors.add((*path, "name"), str(error))
             return None
-        default_label = name.rpartition(":")[2] if ".py:" in name else name
+        default_label = plugin.name.rpartition(":")[2]
         try:
             parameters = check_parameters(plugin, given)
         except ValidationError as error:

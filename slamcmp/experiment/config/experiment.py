@@ -18,8 +18,8 @@ from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.registry import did_you_mean
 from slamcmp.results.published import Published, check_published, published_keys
-from slamcmp.support.config_errors import ConfigErrors
-from slamcmp.support.yaml_source import KeyPath, YamlSource, load_yaml
+from slamcmp.support.config_errors import ConfigErrors, ConfigSource
+from slamcmp.support.yaml_source import KeyPath, load_yaml
 
 Seed = Annotated[int, Field(ge=0)]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]*$"
@@ -145,8 +145,14 @@ def load_experiment(path: Path | str) -> Experiment:
     return parse_experiment(load_yaml(path), path)
 
 
-def parse_experiment(source: YamlSource, path: Path) -> Experiment:
-    """Check the content of an experiment file that lies at ``path``."""
+def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
+    """Check the content of an experiment file that lies at ``path``, or (None) a program's mapping.
+
+    Relative paths in it start in the file's folder, or in the working directory.
+
+    Raises:
+        ConfigError: it has mistakes; the message lists all of them with their places.
+    """
     errors = ConfigErrors(source)
     try:
         fields = ExperimentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
@@ -176,7 +182,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
                 **good,
             }
         )
-    checker = Checker(errors, path.parent)
+    checker = Checker(errors, Path.cwd() if path is None else path.parent)
     chosen_source = checker.choice("source", fields.source, ("source",))
     front_end = checker.choice("front end", fields.front_end, ("front_end",))
     chosen = [
@@ -208,7 +214,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
     assert chosen_source is not None
     assert front_end is not None
     return Experiment(
-        name=fields.name or path.stem,
+        name=fields.name or ("unnamed" if path is None else path.stem),
         source=chosen_source,
         front_end=front_end,
         back_ends=tuple(choice for choice in chosen if choice is not None),
@@ -224,7 +230,7 @@ def parse_experiment(source: YamlSource, path: Path) -> Experiment:
         published=published,
         question=fields.question,
         description=fields.description,
-        path=path.resolve(),
+        path=None if path is None else path.resolve(),
     )
 
 

@@ -26,15 +26,15 @@ class Finding:
     message: str
 
 
-def check_back_end(name: str, parameters: Mapping[str, Any] | None = None) -> list[Finding]:
-    """Run every check on a registered back end or a user's ``file.py:Class``.
+def check_back_end(back_end: str | Plugin, parameters: Mapping[str, Any] | None = None) -> list[Finding]:
+    """Run every check on a registered back end, a user's ``file.py:Class``, or a plug-in itself.
 
     A check that cannot run because an earlier one failed is left out.
 
     Raises:
         UsageError: there is no such back end.
     """
-    plugin = back_ends.get(name)
+    plugin = back_ends.get(back_end) if isinstance(back_end, str) else back_end
     chosen = dict(parameters or {})
     bench, finding = _open(plugin, chosen)
     findings = [finding]

@@ -12,6 +12,7 @@ import matplotlib
 import pandas as pd
 from matplotlib.figure import Figure
 
+from slamcmp.errors import UsageError
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
@@ -75,6 +76,18 @@ def draw_figures(
             write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
             files.append(path)
     return files
+
+
+def draw_figure(results: Results, name: str) -> Figure:
+    """One figure, as an object to show or change.
+
+    Raises:
+        UsageError: there is no such figure, or these results do not hold what it shows.
+    """
+    (drawn,) = each_figure(results, [name])
+    if drawn.figure is None:
+        raise UsageError(f"figure {name!r} cannot be drawn: {drawn.reason}")
+    return drawn.figure
 
 
 def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterator[Drawn]:

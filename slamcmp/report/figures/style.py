@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,6 +23,8 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 TRUTH = "#000000"
 BAND = "#BBBBBB"
+
+PAGE_DPI = 72
 
 LINES: dict[str, str] = {"online": "--", "final": "-"}
 
@@ -56,9 +60,21 @@ def widths(results: Results) -> dict[str, float]:
     return {label: (1.0, 1.8, 2.4, 3.0)[min(3, len(known) - 1 - i)] for i, label in enumerate(known)}
 
 
-def new_figure(width: float, height: float, title: str) -> Figure:
+class PageFigure(Figure):
+    """A figure that also shows itself in a notebook, where nobody has asked for pyplot."""
+
+    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+        """PNG with two pixels for each of the page's, and the size on the page."""
+        buffer = io.BytesIO()
+        with matplotlib.rc_context(RC):
+            self.savefig(buffer, format="png", dpi=2 * PAGE_DPI)
+        width, height = (round(PAGE_DPI * inches) for inches in self.get_size_inches())
+        return buffer.getvalue(), {"width": width, "height": height}
+
+
+def new_figure(width: float, height: float, title: str) -> PageFigure:
     """An empty figure [inch] with its title at the left."""
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = PageFigure(figsize=(width, height), layout="constrained")
     figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
     return figure
 

@@ -1,0 +1,1 @@
+"""What ``import slamcmp`` offers to programs and notebooks; nothing is imported before it is used."""
