@@ -2,7 +2,8 @@
 
 Only whole runs are samples: the frames of one run depend on each other, so nothing here takes frames. Values
 that are not finite (failed runs, metrics a back end does not have) are left out, and every interval carries
-the number of runs it rests on.
+the number of runs it rests on. Tests come from scipy.stats, which takes a second to import and is therefore
+asked for where it is needed.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ Statistic = Callable[..., Any]
 
 EXACT_PAIRS = 60
 """Up to here the signed-rank test counts every sign pattern; beyond, the normal limit is good to 0.005."""
+EXACT_TIED_PAIRS = 13
+"""The same where two differences are alike: each of the 2^13 patterns is looked at."""
 
 
 @dataclass(frozen=True)
@@ -146,50 +149,42 @@ def paired_interval(
 
 def sign_test(differences: ArrayLike) -> float:
     """Two-sided p value of as many positive differences under a fair coin; zeros are left out."""
+    from scipy.stats import binomtest
+
     signs = np.sign(finite(differences))
-    fewer, pairs = int(min((signs > 0).sum(), (signs < 0).sum())), int((signs != 0).sum())
-    return min(1.0, 2.0 * float(bdtr(fewer, pairs, 0.5))) if pairs else math.nan
+    positive, pairs = int((signs > 0).sum()), int((signs != 0).sum())
+    return float(binomtest(positive, pairs).pvalue) if pairs else math.nan
 
 
 def signed_rank_test(differences: ArrayLike) -> float:
     """Two-sided p value of Wilcoxon's signed-rank test; zeros are left out, ties share their rank.
 
-    Exact up to :data:`EXACT_PAIRS` pairs (every sign pattern equally likely, ties included), then the
-    normal limit (Hollander and Wolfe 1999, sec. 3.1).
+    Exact up to :data:`EXACT_PAIRS` pairs, with ties up to :data:`EXACT_TIED_PAIRS`; then the normal limit
+    (Hollander and Wolfe 1999, sec. 3.1).
     """
+    from scipy.stats import PermutationMethod, wilcoxon
+
     given = finite(differences)
     given = given[given != 0.0]
     if not given.size:
         return math.nan
-    # Twice the mid-rank is a whole number.
-    _, where, counts = np.unique(np.abs(given), return_inverse=True, return_counts=True)
-    doubled = (2 * np.cumsum(counts) - counts + 1)[where]
-    total, positive = int(doubled.sum()), int(doubled[given > 0].sum())
-    smaller = min(positive, total - positive)
-    if given.size > EXACT_PAIRS:
-        deviation = math.sqrt(float((doubled.astype(float) ** 2).sum())) / 2.0
-        return min(1.0, 2.0 * float(ndtr((smaller - total / 2.0) / deviation)))
-    ways = np.zeros(total + 1)
-    ways[0] = 1.0
-    for rank in doubled.tolist():
-        moved = np.zeros_like(ways)
-        moved[rank:] = ways[: total + 1 - rank]
-        # A fair coin for each pair: probabilities, because counts of 2^60 do not fit a float exactly.
-        ways = (ways + moved) / 2.0
-    return min(1.0, 2.0 * float(ways[: smaller + 1].sum()))
+    tied = np.unique(np.abs(given)).size < given.size
+    method: Any = "exact"
+    if given.size > (EXACT_TIED_PAIRS if tied else EXACT_PAIRS):
+        method = "approx"
+    elif tied:
+        method = PermutationMethod(n_resamples=2**EXACT_TIED_PAIRS)
+    return float(wilcoxon(given, method=method, correction=False).pvalue)
 
 
 def wilson_interval(failures: int, runs: int, confidence: float = 0.95) -> Interval:
     """A rate of failures with Wilson's score interval (Wilson 1927); sensible at 0 and at all."""
+    from scipy.stats import binomtest
+
     if not runs:
         return Interval(math.nan, math.nan, math.nan, 0, confidence)
-    z = float(ndtri((1.0 + confidence) / 2.0))
-    rate, shrink = failures / runs, 1.0 + z * z / runs
-    middle = (rate + z * z / (2.0 * runs)) / shrink
-    half = z / shrink * math.sqrt(rate * (1.0 - rate) / runs + z * z / (4.0 * runs * runs))
-    low = 0.0 if failures == 0 else middle - half
-    high = 1.0 if failures == runs else middle + half
-    return Interval(rate, low, high, runs, confidence)
+    found = binomtest(failures, runs).proportion_ci(confidence, method="wilson")
+    return Interval(failures / runs, float(found.low), float(found.high), runs, confidence)
 
 
 def average_nees(values: ArrayLike, dof: int, confidence: float = 0.95) -> AverageNees:
