@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -129,6 +130,49 @@ def test_partial_run_is_scored_on_its_frames_but_has_no_last_pose(truth_of, traj
 def test_other_time_stamps_are_refused(truth_of, trajectory_of):
     with pytest.raises(DataError, match="do not share their time stamps"):
         accuracy.ate(trajectory_of(se2([0, 1, 2], 0, 0)), truth_of(se2([0, 1], 0, 0)))
+
+
+@pytest.mark.parametrize("shift_s", [2e-9, 1e-3, -0.5, 1.0])
+def test_stamps_that_differ_are_refused(shift_s, truth_of, trajectory_of):
+    truth = truth_of(se2([0, 1, 2], 0, 0))
+    late = dataclasses.replace(trajectory_of(truth.T_world_body), t=truth.t + shift_s)
+    with pytest.raises(DataError, match="do not share their time stamps"):
+        accuracy.ate(late, truth)
+
+
+def test_errors_in_space_have_three_axes(truth_of, trajectory_of):
+    truth = truth_of(np.broadcast_to(np.eye(4), (2, 4, 4)))
+    moved = np.broadcast_to(np.eye(4), (2, 4, 4)).copy()
+    moved[:, :3, 3] = [2.0, 3.0, 6.0]
+    assert accuracy.ate(trajectory_of(moved), truth) == pytest.approx(7.0, abs=1e-15)
+    assert accuracy.max_error(trajectory_of(moved), truth) == pytest.approx(7.0, abs=1e-15)
+
+
+def test_every_error_tells_its_place_from_every_other(truth_of, trajectory_of):
+    """Errors 3, 0, 1 and 2 m: root mean square, largest and last are three numbers, and none is the first."""
+    truth = truth_of(se2([0, 1, 2, 3], 0, 0))
+    trajectory = trajectory_of(se2([0, 1, 2, 3], [3.0, 0.0, 1.0, 2.0], 0))
+    assert accuracy.ate(trajectory, truth) == pytest.approx(math.sqrt(14 / 4), abs=1e-15)
+    assert accuracy.max_error(trajectory, truth) == 3.0
+    assert accuracy.last_pose_error(trajectory, truth) == 2.0
+    assert accuracy.ate_aligned(trajectory, truth) < 1.2 < accuracy.ate(trajectory, truth)
+    # With the first pose's 3 m taken off: 0, 3, 2, 1.
+    assert accuracy.ate_first_pose(trajectory, truth) == pytest.approx(math.sqrt(14 / 4), abs=1e-15)
+    behind = trajectory_of(se2([0, 1, 2, 3], [1.0, 1.0, 1.0, 4.0], 0))
+    assert accuracy.ate_first_pose(behind, truth) == pytest.approx(1.5, abs=1e-15)
+    assert accuracy.ate_aligned(behind, truth) < 1.0
+
+
+def test_landmarks_are_paired_by_their_ids(truth_of, run_of):
+    """The truth's order is its own, and it knows landmarks that are not in the map."""
+    poses = se2([0, 1], 0, 0)
+    truth = truth_of(poses, [[50.0, 50.0], [4.0, 0.0], [0.0, 3.0]])
+    truth = dataclasses.replace(truth, ids=np.array([7, 42, 5]))
+    run = run_of(poses, positions=[[0.0, 3.5], [4.0, 1.0]], ids=[5, 42])
+    assert accuracy.landmark_rmse(run, truth) == pytest.approx(math.sqrt((0.25 + 1.0) / 2), abs=1e-15)
+    assert accuracy.landmark_rmse_aligned(run, truth) == pytest.approx(
+        accuracy.landmark_rmse(run, truth), abs=1e-12
+    )
 
 
 def test_landmark_rmse_raw_and_with_the_trajectory_s_alignment(truth_of, run_of):

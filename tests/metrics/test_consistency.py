@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from slamcmp.geometry import retract, se2
 from slamcmp.metrics import consistency
+from slamcmp.types import Trajectory
 
 P_HAND = np.diag([0.04, 0.01, 0.01])
 
@@ -56,6 +57,24 @@ def test_errors_drawn_from_P_have_mean_nees_p(p, truth_of, trajectory_of):
     assert consistency.nees_inside_95(trajectory, truth) == pytest.approx(0.95, abs=0.0114)
     # Bias of the median is below the Monte-Carlo error; three of its standard deviations.
     assert consistency.pose_nees_median(trajectory, truth) == pytest.approx(chi2.median(p), rel=0.07)
+
+
+def test_the_parts_of_a_pose_in_space(truth_of, trajectory_of):
+    """A tangent is (omega, v): 0.2 rad with sigma 0.1 rad gives 4, 0.6 m with sigma 0.2 m gives 9."""
+    xi = np.array([[0.2, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.6, 0.0]])
+    start = np.broadcast_to(np.eye(4), (2, 4, 4))
+    P = np.broadcast_to(np.diag([0.01] * 3 + [0.04] * 3), (2, 6, 6))
+    trajectory, truth = trajectory_of(start, P), truth_of(retract(start, xi))
+    assert consistency.heading_nees(trajectory, truth) == pytest.approx(4 / 2, abs=1e-12)
+    assert consistency.position_nees(trajectory, truth) == pytest.approx(9 / 2, abs=1e-12)
+    assert consistency.pose_nees(trajectory, truth) == pytest.approx(13 / 2, abs=1e-12)
+
+
+def test_median_of_an_even_number_of_frames(truth_of, trajectory_of):
+    truth = truth_of(se2(0, 0, [0.4, 0.1, 0.2, 0.0]))
+    trajectory = trajectory_of(se2(np.zeros(4), 0, 0), np.broadcast_to(P_HAND, (4, 3, 3)))
+    # NEES 16, 1, 4, 0: half way between 1 and 4.
+    assert consistency.pose_nees_median(trajectory, truth) == pytest.approx(2.5, abs=1e-12)
 
 
 def test_singular_covariances_are_skipped_and_counted(truth_of, trajectory_of):
@@ -108,6 +127,35 @@ def test_joint_nees_puts_the_pose_first_and_marginalises_unknown_landmarks(truth
     assert consistency.joint_nees_per_dof(run, truth) == pytest.approx(4 / 15, abs=1e-12)
 
 
+def test_joint_nees_is_of_the_last_online_pose(truth_of, run_of):
+    """Not of the one with hindsight, nor of a frame before the last."""
+    truth = truth_of(se2([0.0, 1.3], 0, 0), [[1.0, 0.0]])
+    final = Trajectory(truth.t, truth.T_world_body, np.broadcast_to(P_HAND, (2, 3, 3)))
+    joint = np.diag([0.01, 0.01, 0.01, 0.01, 0.01])
+    fields = {"positions": [[1.0, 0.0]], "joint_covariance": joint, "final": final}
+    run = run_of(se2([0.9, 1.0], 0, 0), np.broadcast_to(P_HAND, (2, 3, 3)), **fields)
+    # 0.3 m with sigma 0.1 m: 9, over 3 + 2.
+    assert consistency.joint_nees_per_dof(run, truth) == pytest.approx(9 / 5, abs=1e-12)
+    # Of a run that ended early the joint belief is of another frame than the log's last.
+    early = run_of(se2([0.9], 0, 0), P_HAND[None], **(fields | {"final": None}), frames=2)
+    assert math.isnan(consistency.joint_nees_per_dof(early, truth))
+
+
+def test_each_landmark_has_its_own_covariance(truth_of, run_of):
+    """Landmark 99 is not in the truth; the others' sigmas are 0.1 and 0.5 m."""
+    poses = se2([0.0], 0, 0)
+    sigmas = np.array([9.0, 0.1, 0.5])
+    run = run_of(
+        poses,
+        P_HAND[None],
+        [[7.0, 7.0], [0.2, 0.0], [5.0, 0.5]],
+        ids=[99, 10, 11],
+        covariances=sigmas[:, None, None] ** 2 * np.eye(2),
+    )
+    truth = truth_of(poses, [[0.0, 0.0], [5.0, 0.0]])
+    assert consistency.landmark_nees(run, truth) == pytest.approx((4.0 + 1.0) / 2, abs=1e-12)
+
+
 def test_nis_and_chi2_per_degree_of_freedom(run_of):
     run = run_of(
         se2([0, 1, 2, 3], 0, 0),
@@ -120,6 +168,9 @@ def test_nis_and_chi2_per_degree_of_freedom(run_of):
     # (2 + 4) / (2 + 6); frames without observations do not count.
     assert consistency.nis_per_dof(run) == pytest.approx(0.75, abs=1e-15)
     assert consistency.chi2_per_dof(run) == pytest.approx(1.5, abs=1e-15)
+    # What stands where there were no degrees of freedom is not an innovation.
+    series = {"nis": np.array([7.0, 2.0]), "nis_dof": np.array([0.0, 2.0])}
+    assert consistency.nis_per_dof(run_of(se2([0, 1], 0, 0), diagnostics=series)) == 1.0
     silent = run_of(se2([0, 1], 0, 0))
     assert math.isnan(consistency.nis_per_dof(silent))
     assert math.isnan(consistency.chi2_per_dof(silent))

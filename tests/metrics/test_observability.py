@@ -62,15 +62,15 @@ def test_scores_of_a_run_are_the_last_values_of_its_series() -> None:
         nullity=[nan, 3, nan, 2],
         spurious_turn_per_rad2=[nan, 0.5, 7.0, nan],
         spurious_shift_per_m2=[nan, 0.0, 0.0, nan],
-        drift_landmarks_m=[0.1, nan, 0.3, 0.2],
-        kl_from_batch=[nan, 4.0, 1.0, 3.0],
+        drift_landmarks_m=[0.1, nan, 0.9, 0.2],
+        kl_from_batch=[nan, 4.0, 1.0, 9.0],
     )
     scores = score_run(run, None)
     assert scores["nullity"] == 2
     assert scores["spurious_turn_per_rad2"] == 7.0
     assert scores["spurious_shift_per_m2"] == 0.0
     assert scores["linearisation_drift"] == pytest.approx(0.2)
-    assert (scores["kl_from_batch"], scores["kl_from_batch_median"]) == (3.0, 3.0)
+    assert (scores["kl_from_batch"], scores["kl_from_batch_median"]) == (9.0, 4.0)
     # A run that records tells no times, not times of zero.
     assert math.isnan(scores["update_s"])
     assert math.isnan(scores["update_median_ms"])

@@ -28,6 +28,8 @@ def straight(truth_of, run_of):
         covariances=0.25 * np.eye(2)[None],
         final=final,
         update_s=np.array([0.001, 0.002, 0.006]),
+        estimate_s=np.array([0.010, 0.040, 0.020]),
+        joint_covariance=np.diag([0.04, 0.01, 0.01, 0.25, 0.25]),
         diagnostics={"nis": np.array([math.nan, 1.0, 3.0]), "nis_dof": np.array([0.0, 2.0, 2.0])},
         peak_memory_mb=12.0,
     )
@@ -53,10 +55,12 @@ def test_cost(straight):
     scores = score_run(*straight)
     assert scores["completion"] == 1
     assert scores["update_s"] == pytest.approx(0.009)
-    assert scores["estimate_s"] == pytest.approx(0.003)
+    assert scores["estimate_s"] == pytest.approx(0.070)
     # Linear interpolation: the 95th percentile of 1, 2, 6 ms lies at 2 + 0.9 · 4.
     assert scores["update_median_ms"] == pytest.approx(2.0)
     assert scores["update_p95_ms"] == pytest.approx(5.6)
+    assert scores["estimate_median_ms"] == pytest.approx(20.0)
+    assert scores["estimate_p95_ms"] == pytest.approx(38.0)
     assert scores["peak_memory_mb"] == 12
 
 
@@ -93,7 +97,11 @@ def test_against_a_reference_nothing_is_called_consistent(straight):
     nees = [name for name in scores if "nees" in name]
     assert nees
     assert all(math.isnan(scores[name]) for name in nees)
-    assert frame_table(run, reference_truth(run), reference=True)["online_nees"].isna().all()
+    frames = frame_table(run, reference_truth(run), reference=True)
+    assert frames[["online_nees", "final_nees"]].isna().all(axis=None)
+    landmarks = landmark_table(run, reference_truth(run), reference=True)
+    assert landmarks["error_m"].tolist() == [0.0]
+    assert landmarks["nees"].isna().all()
 
 
 def test_a_run_that_crashed_at_once_has_its_columns_and_no_values(straight, run_of):
@@ -126,6 +134,11 @@ def test_not_a_number_gives_no_score(straight, run_of):
     scores = score_run(run_of(poses, np.broadcast_to(P_HAND, (3, 3, 3)), positions=[[0.0, math.nan]]), truth)
     assert math.isnan(scores["online_ate"])
     assert math.isnan(scores["landmark_rmse_aligned"])
+    final = Trajectory(truth.t, poses)
+    lost = score_run(run_of(se2([0, 1, 2], 0, 0), positions=[[1.0, 1.0]], final=final), truth)
+    assert lost["online_ate"] == 0.0
+    assert math.isnan(lost["final_ate"])
+    assert math.isnan(lost["landmark_rmse_aligned"])
     assert frame_table(run_of(poses), truth)["online_err_0"].isna().all()
 
 
@@ -142,12 +155,25 @@ def test_frame_table(straight):
         table[["online_sigma_0", "online_sigma_1", "online_sigma_2"]], [[0.2, 0.1, 0.1]] * 3
     )
     np.testing.assert_allclose(table["online_position_error_m"], 0.2)
+    np.testing.assert_allclose(table["final_position_error_m"], 0.1)
     np.testing.assert_allclose(table["online_nees"], 4.0)
+    np.testing.assert_allclose(table["final_nees"], 1.0)
     np.testing.assert_allclose(table["nis"], [math.nan, 1.0, 3.0])
     np.testing.assert_allclose(table["update_s"], [0.001, 0.002, 0.006])
 
 
+def test_heading_errors_of_the_frame_table_are_degrees_across_the_cut(truth_of, run_of):
+    table = frame_table(run_of(se2([0.0], 0, -3.1)), truth_of(se2([0.0], 0, 3.1)))
+    turn = 2 * math.pi - 6.2
+    assert table["online_heading_error_deg"][0] == pytest.approx(math.degrees(turn), abs=1e-9)
+    assert table["online_err_2"][0] == pytest.approx(-turn, abs=1e-12)
+
+
 def test_position_covariance_is_turned_into_world_axes(truth_of, run_of):
+    # Looking north-east, 30 degrees to the left of x: a narrow ellipse points there, not to the right.
+    narrow = frame_table(run_of(se2([0.0], 0, math.pi / 6), P_HAND[None]), None).iloc[0]
+    assert narrow["online_P_xy"] == pytest.approx(0.03 * math.sqrt(3) / 4)
+    assert narrow["online_P_xx"] == pytest.approx((3 * 0.04 + 0.01) / 4)
     # Looking north: the 0.2 m along the body's x axis are north-south in the world.
     poses = se2([0.0], 0, math.pi / 2)
     row = frame_table(run_of(poses, P_HAND[None]), truth_of(poses)).iloc[0]
@@ -197,6 +223,13 @@ def test_a_diagnostic_does_not_replace_a_column(run_of):
 def test_reference_must_have_a_final_trajectory(run_of):
     with pytest.raises(DataError, match="'hand_made' has no final trajectory"):
         reference_truth(run_of(se2([0, 1], 0, 0)))
+
+
+def test_a_reference_must_have_finished_and_is_its_hindsight(straight):
+    run, _ = straight
+    np.testing.assert_array_equal(reference_truth(run).T_world_body, run.final.T_world_body)
+    with pytest.raises(DataError, match=r"no final trajectory \(status diverged\)"):
+        reference_truth(dataclasses.replace(run, status="diverged"))
 
 
 def test_every_metric_column_says_what_it_is():
