@@ -21,7 +21,16 @@ from slamcmp.metrics.divergence import (
     first_departure,
 )
 from slamcmp.models.camera import MonoCamera
-from slamcmp.types import Detections, Frame, GroundTruth, MeasurementStream, Problem, Run
+from slamcmp.models.sensors import make_sensor
+from slamcmp.types import (
+    Detections,
+    Frame,
+    GroundTruth,
+    MeasurementStream,
+    Problem,
+    Run,
+    Trajectory,
+)
 from tests.toy_stream import toy_stream
 
 FAULT_AT = 40
@@ -234,3 +243,69 @@ def _worst_innovation(stream: MeasurementStream) -> int:
         y = stream.problem.sensor.residual(z, stream.problem.sensor.predict(T, known.positions[j]))
         worst[int(landmark)] = float(y @ np.linalg.solve(H @ P @ H.T + R, y))
     return max(worst, key=lambda landmark: worst[landmark])
+
+
+def sighted(*sightings: tuple[float, float]) -> MeasurementStream:
+    """A robot at the origin; frame k sees landmark 5 at (x, 0), with this variance, or nothing."""
+    frames = []
+    for k, (x, variance) in enumerate(sightings):
+        seen = np.isfinite([x])
+        Q = np.diag([0.05, 0.02, 1e-8]) if k else np.zeros((3, 3))
+        z, R = np.array([[x, 0.0]])[seen], np.array([variance * np.eye(2)])[seen]
+        frames.append(Frame(k, float(k), np.eye(3), Q, np.array([5])[seen], z, R))
+    sensor = make_sensor("relative_position", {"space_dim": 2})
+    return MeasurementStream(Problem(np.eye(3), 1e-12 * np.eye(3), sensor), tuple(frames))
+
+
+NOTHING = (math.nan, 1.0)
+
+
+def test_a_suspect_is_measured_in_the_noise_of_all_it_is_made_of() -> None:
+    """Sensor 0.01, odometry 0.05 and its place 0.04 m²: 0.5 m are sqrt(0.25 / 0.1) sigmas."""
+    stream = sighted((3.0, 0.04), NOTHING, (3.5, 0.01))
+    run = run_back_end(DeadReckoning, stream, label="odometry", parameters={})
+    suspect = find_suspect(stream, run, None, 2)
+    assert suspect is not None
+    assert (suspect.k, suspect.landmark, suspect.residual) == (2, 5, pytest.approx(0.5))
+    assert suspect.sigmas == pytest.approx(math.sqrt(2.5), rel=1e-6)
+
+
+def test_a_place_is_the_weighted_mean_of_the_earlier_sightings() -> None:
+    """3.0 m with 0.04 m² and 3.5 m with 0.01 m² place it at 3.4 m with 0.008 m²; the third does not."""
+    stream = sighted((3.0, 0.04), (3.5, 0.01), (4.0, 0.03))
+    run = run_back_end(DeadReckoning, stream, label="odometry", parameters={})
+    suspect = find_suspect(stream, run, None, 2, window=1)
+    assert suspect is not None
+    assert (suspect.k, suspect.residual) == (2, pytest.approx(0.6))
+    assert suspect.sigmas == pytest.approx(0.6 / math.sqrt(0.03 + 0.05 + 0.008), rel=1e-6)
+
+
+def test_a_suspect_against_the_truth_is_measured_in_each_noise_alone() -> None:
+    stream = sighted((3.0, 0.04), (3.5, 0.01))
+    run = run_back_end(DeadReckoning, stream, label="odometry", parameters={})
+    truth = GroundTruth(np.arange(2.0), se2([0.0, 0.3], 0, 0), np.array([5]), np.array([[3.6, 0.0]]))
+    suspect = find_suspect(stream, run, truth, 1)
+    assert suspect is not None
+    # Seen from the true pose at 3.3 m: 0.2 m with sigma 0.1; the odometry missed 0.3 m with variance 0.05.
+    assert suspect.measurement_sigmas == pytest.approx(2.0, rel=1e-6)
+    assert suspect.odometry_sigmas == pytest.approx(0.3 / math.sqrt(0.05), rel=1e-6)
+
+
+def test_the_earlier_of_two_departures_is_told() -> None:
+    """NIS leaves its band at frame 3; the pose is off from frame 1 on."""
+    t, poses = np.arange(5.0), np.broadcast_to(np.eye(3), (5, 3, 3))
+    nis = np.array([0.0, 2.0, 2.0, 90.0, 2.0])
+    run = Run(
+        "a", {}, "d", 0, 5, "ok", "", Trajectory(t, poses, np.broadcast_to(0.01 * np.eye(3), (5, 3, 3))),
+        np.zeros(5), np.zeros(5), diagnostics={"nis": nis, "nis_dof": np.array([0.0, 2, 2, 2, 2])},
+    )  # fmt: skip
+    truth = GroundTruth(t, se2([0, 0.6, 0.6, 0.6, 0.6], 0, 0), np.empty(0, int), np.empty((0, 2)))
+    departure = first_departure(run, truth)
+    assert departure is not None
+    assert (departure.test, departure.k, departure.value) == ("NEES", 1, pytest.approx(36.0))
+    # Against a reference there is no NEES: the NIS alone speaks.
+    departure = first_departure(run, truth, reference=True)
+    assert departure is not None
+    assert (departure.test, departure.k) == ("NIS", 3)
+    assert departure.value == 94.0
+    assert departure.limit == pytest.approx(stats.chi2.isf(FALSE_ALARM / 5, 6))
