@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 from slamcmp.types import BoolArray, Estimate, FloatArray, Frame, IntArray, Landmarks, Trajectory
 
@@ -60,6 +60,14 @@ class Smoother(Protocol):
 
     def trajectory(self) -> Trajectory:
         """Every pose up to now with hindsight."""
+
+
+@runtime_checkable
+class UsesRelativePoses(Protocol):
+    """A back end for streams with loop closures between poses; any other refuses such a stream."""
+
+    relative_poses: Literal["used", "ignored"]
+    """What becomes of :attr:`Frame.relative_poses <slamcmp.types.Frame.relative_poses>`."""
 
 
 @runtime_checkable

@@ -129,11 +129,11 @@ def test_arrays_are_read_only_copies():
 def test_log_lengths():
     t, T, Q = np.arange(2.0), np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3, 3))
     none = Detections(np.empty((0, 2)), np.empty((0, 2, 2)), [])
-    truth = GroundTruth([0.0], np.eye(3)[None], [], np.empty((0, 2)))
+    truth = GroundTruth([0.5], np.eye(3)[None], [], np.empty((0, 2)))
     Log("x", problem(), t, T, Q, (none, none))
     with pytest.raises(DataError, match="1 entries for 2 frames"):
         Log("x", problem(), t, T, Q, (none,))
-    with pytest.raises(DataError, match="1 poses for 2 frames"):
+    with pytest.raises(DataError, match=r"GroundTruth\.t: .*0\.5.* s is none of the log's 2 time stamps"):
         Log("x", problem(), t, T, Q, (none, none), truth)
     with pytest.raises(DataError, match=r"Log\.Q"):
         Log("x", problem(), t, T, Q[:1], (none, none))

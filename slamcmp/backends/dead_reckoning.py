@@ -11,6 +11,8 @@ A         adjoint of the increment's inverse: carries an error over it
 
 from __future__ import annotations
 
+from typing import Literal
+
 from slamcmp.geometry import adjoint_of_inverse
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, Frame, Problem
@@ -24,11 +26,13 @@ class DeadReckoning:
         problem: the prior (planar or spatial); the sensor is not used.
     """
 
+    relative_poses: Literal["ignored"] = "ignored"
+
     def __init__(self, problem: Problem) -> None:
         self._T, self._P = problem.T_world_body, problem.P
 
     def update(self, frame: Frame) -> None:
-        """Compose the frame's increment; its observations are ignored."""
+        """Compose the frame's increment; its observations and loop closures are ignored."""
         if frame.k > 0:
             A = adjoint_of_inverse(frame.T_prev_body)
             self._T = self._T @ frame.T_prev_body

@@ -19,6 +19,7 @@ from slamcmp.datasets.folders import find_folder, number_table, require_file, te
 from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, Size, rectify, undistort
+from slamcmp.datasets.text import whole
 from slamcmp.datasets.trajectories import nearest_rotations, ordered, poses_at, poses_from
 from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
 from slamcmp.errors import DataError, MissingDataError
@@ -124,8 +125,8 @@ class _Camera:
 
 def _nanoseconds(where: str, text: str) -> int:
     try:
-        return int(text)
-    except ValueError:
+        return whole(where, text)
+    except DataError:
         raise DataError(f"{where}: time stamp {text!r}; whole nanoseconds are needed") from None
 
 

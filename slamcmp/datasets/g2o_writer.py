@@ -9,12 +9,13 @@ follows a comment. :func:`~slamcmp.datasets.graph_reader.read_graph` reads all o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from slamcmp.datasets.graph_reader import SENSOR_COMMENT, TIME_COMMENT
+from slamcmp.datasets.information import inverse_of_definite
 from slamcmp.errors import DataError
 from slamcmp.geometry import dead_reckoning, quaternion, se2_coordinates
 from slamcmp.types import FloatArray, Frame, IntArray, Landmarks, Log, MeasurementStream
@@ -29,8 +30,9 @@ def write_g2o(
 ) -> None:
     """Write ``data`` to ``path``; vertices hold ``poses`` (K, n+1, n+1) and ``landmarks`` where given.
 
-    Without estimates the poses are those of dead reckoning, and a landmark stands where it was first seen
-    from there.
+    Landmarks of a log are written by their own names (``own_ids``), loop closures as edges between their
+    poses. Without estimates the poses are those of dead reckoning, and a landmark stands where it was first
+    seen from there.
 
     Raises:
         DataError: a covariance without inverse, which information matrices cannot hold, or a negative id.
@@ -52,7 +54,9 @@ def write_g2o(
             places.setdefault(landmark, position)
     if landmarks is not None:
         places |= dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
-    writer = _Writer(sensor.space_dim, sensor.name, offset=1 + max(places, default=-1))
+    own = data.own_ids if isinstance(data, Log) else None
+    names = {landmark: landmark if own is None else int(own[landmark]) for landmark in places}
+    writer = _Writer(sensor.space_dim, sensor.name, names)
     lines = writer.lines(frames, data.problem.T_world_body, data.problem.P, poses, places)
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -61,13 +65,22 @@ def _frames(data: Log | MeasurementStream) -> tuple[Frame, ...]:
     if isinstance(data, MeasurementStream):
         return data.frames
     return tuple(
-        Frame(k, float(data.t[k]), data.T_prev_body[k], data.Q[k], seen.ids, seen.z, seen.R)
+        Frame(
+            k,
+            float(data.t[k]),
+            data.T_prev_body[k],
+            data.Q[k],
+            seen.ids,
+            seen.z,
+            seen.R,
+            relative_poses=None if data.relative_poses is None else data.relative_poses[k],
+        )
         for k, seen in enumerate(data.detections)
     )
 
 
 class _Writer:
-    def __init__(self, space_dim: int, sensor_name: str, offset: int) -> None:
+    def __init__(self, space_dim: int, sensor_name: str, names: Mapping[int, int]) -> None:
         if (space_dim, sensor_name) not in {
             (2, "range_bearing"),
             (2, "relative_position"),
@@ -77,7 +90,8 @@ class _Writer:
         self._flat = space_dim == 2
         self._bearing = sensor_name == "range_bearing"
         self._sensor = sensor_name
-        self._offset = offset
+        self._names = names
+        self._offset = 1 + max(names.values(), default=-1)
 
     def lines(
         self,
@@ -93,7 +107,7 @@ class _Writer:
         for frame, T in zip(frames, poses, strict=True):
             yield _line(vertex, [self._offset + frame.k], self._pose(T))
         for landmark, position in sorted(places.items()):
-            yield _line("VERTEX_XY" if self._flat else "VERTEX_TRACKXYZ", [landmark], position)
+            yield _line("VERTEX_XY" if self._flat else "VERTEX_TRACKXYZ", [self._names[landmark]], position)
         information = self._pose_information(prior_covariance, "the prior's P")
         if self._flat:
             yield _line("EDGE_PRIOR_SE2", [self._offset], self._pose(prior), information)
@@ -107,10 +121,15 @@ class _Writer:
 
     def _frame(self, frame: Frame) -> Iterator[str]:
         here = self._offset + frame.k
+        edge = "EDGE_SE2" if self._flat else "EDGE_SE3:QUAT"
         if frame.k:
             information = self._pose_information(frame.Q, f"Q of frame {frame.k}")
-            edge = "EDGE_SE2" if self._flat else "EDGE_SE3:QUAT"
             yield _line(edge, [here - 1, here], self._pose(frame.T_prev_body), information)
+        related = frame.relative_poses
+        if related is not None:
+            for earlier, T, P in zip(related.frames.tolist(), related.T_earlier_body, related.P, strict=True):
+                information = self._pose_information(P, f"P of frame {frame.k} relative to frame {earlier}")
+                yield _line(edge, [self._offset + earlier, here], self._pose(T), information)
         for landmark, measured, covariance in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
             yield self._observation(frame.k, here, landmark, measured, covariance)
 
@@ -120,11 +139,16 @@ class _Writer:
         what = f"R of landmark {landmark} in frame {k}"
         if self._bearing:
             information = _information(covariance[::-1, ::-1], what)
-            return _line("EDGE_BEARING_RANGE_SE2_XY", [here, landmark], measured[::-1], _upper(information))
+            return _line(
+                "EDGE_BEARING_RANGE_SE2_XY",
+                [here, self._names[landmark]],
+                measured[::-1],
+                _upper(information),
+            )
         information = _information(covariance, what)
         if self._flat:
-            return _line("EDGE_SE2_XY", [here, landmark], measured, _upper(information))
-        return _line("EDGE_SE3_TRACKXYZ", [here, landmark, 0], measured, _upper(information))
+            return _line("EDGE_SE2_XY", [here, self._names[landmark]], measured, _upper(information))
+        return _line("EDGE_SE3_TRACKXYZ", [here, self._names[landmark], 0], measured, _upper(information))
 
     def _pose(self, T: FloatArray) -> FloatArray:
         if self._flat:
@@ -141,10 +165,9 @@ class _Writer:
 
 
 def _information(covariance: FloatArray, what: str) -> FloatArray:
-    eigenvalues = np.linalg.eigvalsh(covariance)
-    if not eigenvalues[0] > 1e-15 * abs(eigenvalues[-1]):
+    inverse = inverse_of_definite(covariance)
+    if inverse is None:
         raise DataError(f"{what} is singular: a g2o file holds its inverse, so no direction may be exact")
-    inverse = np.linalg.inv(covariance)
     information: FloatArray = 0.5 * (inverse + inverse.T)
     return information
 

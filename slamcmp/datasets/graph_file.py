@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from annotated_types import Ge, Gt
 
-from slamcmp.datasets.graph import graph_log
+from slamcmp.datasets.graph import Closures, graph_log
 from slamcmp.datasets.graph_reader import Noise, read_graph
 from slamcmp.datasets.wheel import find_file
 from slamcmp.registry import sources
@@ -26,6 +26,7 @@ def graph_file(
     noise: Noise = "auto",
     steps: Annotated[int, Ge(2)] | None = None,
     time_step_s: Annotated[float, Gt(0)] = 1.0,
+    closures: Closures = "factors",
     place_sigma_m: Annotated[float, Gt(0)] = 0.01,
     prior_position_sigma_m: Annotated[float, Gt(0)] = 1e-6,
     prior_heading_sigma_rad: Annotated[float, Gt(0)] = 1e-6,
@@ -46,6 +47,7 @@ def graph_file(
         name=file.name,
         steps=steps,
         time_step_s=time_step_s,
+        closures=closures,
         place_sigma_m=place_sigma_m,
         prior_position_sigma_m=prior_position_sigma_m,
         prior_heading_sigma_rad=prior_heading_sigma_rad,

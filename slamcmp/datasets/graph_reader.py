@@ -26,7 +26,9 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from slamcmp.datasets.graph import Graph, LandmarkEdge, PoseEdge, Prior, SensorName
+from slamcmp.datasets.graph_types import Graph, LandmarkEdge, PoseEdge, Prior, SensorName, name_of
+from slamcmp.datasets.information import inverse_of_definite
+from slamcmp.datasets.text import ends_in_a_line, fields_of, number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import pose, rotation_from_quaternion, se2, wrap
 from slamcmp.types import FloatArray
@@ -57,11 +59,14 @@ def read_graph(path: Path | str, *, noise: Noise = "auto") -> Graph:
     path = Path(path)
     if not path.is_file():
         raise MissingDataError(f"{path}: there is no such graph file")
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not a text file ({error.reason} at byte {error.start})") from error
-    return _Reader(path, noise, lines).read()
+    graph = _Reader(path, noise, text_lines(path)).read()
+    if not ends_in_a_line(path):
+        graph.warnings.append(
+            f"{path.name}: the last line is not ended by a line break: was the file cut short, and "
+            "with it the "
+            "last number?"
+        )
+    return graph
 
 
 class _Line:
@@ -69,17 +74,18 @@ class _Line:
 
     def __init__(self, where: str, tag: str, fields: list[str], layout: str, numbers: int) -> None:
         self.where, self.tag, self._fields, self._next = where, tag, fields, 0
-        if len(fields) != numbers:
+        wanted = str(numbers) if numbers > 0 else f"at least {-numbers}"
+        # So many at least, where the number is not given.
+        if len(fields) != numbers if numbers > 0 else len(fields) < -numbers:
             raise DataError(
-                f"{where}: {tag} is followed by {len(fields)} numbers where {numbers} are needed: {layout}"
+                f"{where}: {tag} is followed by {len(fields)} numbers where {wanted} are needed: {layout}"
             )
 
     def id(self) -> int:
-        text = self._take()
-        try:
-            return int(text)
-        except ValueError:
-            raise DataError(f"{self.where}: {text!r} is not an id; a whole number is needed") from None
+        return whole(self.where, self._take())
+
+    def ids(self) -> list[int]:
+        return [self.id() for _ in range(len(self._fields) - self._next)]
 
     def floats(self, count: int) -> FloatArray:
         return np.array([self._float() for _ in range(count)])
@@ -88,14 +94,7 @@ class _Line:
         return tuple(self._float() for _ in range(count))
 
     def _float(self) -> float:
-        text = self._take()
-        try:
-            value = float(text)
-        except ValueError:
-            value = float("nan")
-        if not np.isfinite(value):
-            raise DataError(f"{self.where}: {text!r} is not a finite number")
-        return value
+        return number(self.where, self._take())
 
     def _take(self) -> str:
         self._next += 1
@@ -110,7 +109,7 @@ class _Reader:
         self._fixed: dict[int, str] = {}
         self._offsets: dict[int, FloatArray] = {}
         self._spatial: list[tuple[LandmarkEdge, int]] = []
-        tags = {fields[0] for line in lines if (fields := line.split(maxsplit=1))}
+        tags = {fields[0] for line in lines if (fields := fields_of(line.split("#", 1)[0]))}
         if noise == "auto" and tags & {"ODOMETRY", "LANDMARK"}:
             raise DataError(
                 f"{path}: some authors write covariances on ODOMETRY and LANDMARK lines, others square roots "
@@ -146,28 +145,28 @@ class _Reader:
             "EDGE_PRIOR_SE2": (self._prior_2d, "id x y theta and 6 of the noise", 10, 2),
             "EDGE_SE3_PRIOR": (self._prior_3d, "id offset x y z qx qy qz qw and 21 of the noise", 30, 3),
             "EQUIV": (self._equivalent, "pose pose", 2, 0),
-            "FIX": (self._fix, "id", 1, 0),
+            "FIX": (self._fix, "ids", -1, 0),
         }
 
     def read(self) -> Graph:
         unknown: Counter[str] = Counter()
         first_unknown: dict[str, int] = {}
-        for number, text in enumerate(self._lines, start=1):
+        for row, text in enumerate(self._lines, start=1):
             if text.startswith(TIME_COMMENT):
-                self._time(f"{self._path}:{number}", text)
+                self._time(f"{self._path}:{row}", text)
                 continue
             if text.startswith(SENSOR_COMMENT):
-                self._sensor(f"{self._path}:{number}", text)
+                self._sensor(f"{self._path}:{row}", text)
                 continue
-            tag, *fields = text.split("#", 1)[0].split() or [""]
+            tag, *fields = fields_of(text.split("#", 1)[0]) or [""]
             if not tag:
                 continue
             if tag not in self._kinds:
                 unknown[tag] += 1
-                first_unknown.setdefault(tag, number)
+                first_unknown.setdefault(tag, row)
                 continue
             read_line, layout, numbers, dim = self._kinds[tag]
-            line = _Line(f"{self._path}:{number}", tag, fields, layout, numbers)
+            line = _Line(f"{self._path}:{row}", tag, fields, layout, numbers)
             if dim:
                 self._dims.setdefault(dim, line.where)
             read_line(line)
@@ -207,11 +206,13 @@ class _Reader:
         first = graph.pose_ids()[:1]
         for fixed, where in self._fixed.items():
             if [fixed] != first:
-                raise DataError(f"{where}: FIX {fixed}; only the first pose can be held")
+                raise DataError(f"{where}: FIX {name_of(fixed)}; only the first pose can be held")
 
     def _time(self, where: str, text: str) -> None:
-        line = _Line(where, TIME_COMMENT, text[len(TIME_COMMENT) :].split(), "id seconds", 2)
-        _insert(self._graph.times, line.id(), line.numbers(1)[0], line)
+        line = _Line(where, TIME_COMMENT, fields_of(text[len(TIME_COMMENT) :]), "id seconds", 2)
+        pose_id, t = line.id(), line.numbers(1)[0]
+        _insert(self._graph.times, pose_id, t, line)
+        self._graph.time_lines[pose_id] = where
 
     def _sensor(self, where: str, text: str) -> None:
         name = text[len(SENSOR_COMMENT) :].strip()
@@ -224,13 +225,17 @@ class _Reader:
         self._graph.sensor = known[name]
 
     def _vertex_2d(self, line: _Line) -> None:
-        _insert(self._graph.poses, line.id(), se2(*line.floats(3)), line)
+        self._insert_pose(line.id(), se2(*line.floats(3)), line)
+
+    def _insert_pose(self, pose_id: int, T: FloatArray, line: _Line) -> None:
+        _insert(self._graph.poses, pose_id, T, line)
+        self._graph.pose_lines[pose_id] = line.where
 
     def _vertex_xy(self, line: _Line) -> None:
         _insert(self._graph.landmarks, line.id(), line.floats(2), line)
 
     def _vertex_3d(self, line: _Line) -> None:
-        _insert(self._graph.poses, line.id(), _pose_3d(line), line)
+        self._insert_pose(line.id(), _pose_3d(line), line)
 
     def _vertex_xyz(self, line: _Line) -> None:
         _insert(self._graph.landmarks, line.id(), line.floats(3), line)
@@ -322,7 +327,7 @@ class _Reader:
         self._graph.equivalent.append((line.id(), line.id()))
 
     def _fix(self, line: _Line) -> None:
-        self._fixed[line.id()] = line.where
+        self._fixed.update(dict.fromkeys(line.ids(), line.where))
 
     def _covariance(self, upper: tuple[float, ...], size: int, line: _Line) -> FloatArray:
         covariance = _covariance(upper, size, self._noise)
@@ -336,7 +341,7 @@ class _Reader:
 
 def _insert(into: dict[int, Value], key: int, value: Value, line: _Line) -> None:
     if key in into:
-        raise DataError(f"{line.where}: {line.tag} {key} stands twice in the file")
+        raise DataError(f"{line.where}: {line.tag} {name_of(key)} stands twice in the file")
     into[key] = value
 
 
@@ -354,11 +359,9 @@ def _covariance(upper: tuple[float, ...], size: int, noise: Noise) -> FloatArray
     matrix = np.zeros((size, size))
     matrix[np.triu_indices(size)] = upper
     matrix = matrix.T @ matrix if noise == "square_root_information" else matrix + np.triu(matrix, 1).T
-    # Inverting a matrix that is singular up to rounding would give noise, not a covariance.
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    if not eigenvalues[0] > 1e-15 * abs(eigenvalues[-1]):
+    covariance = matrix if noise == "covariance" else inverse_of_definite(matrix)
+    if covariance is None or (noise == "covariance" and inverse_of_definite(matrix) is None):
         return None
-    covariance = matrix if noise == "covariance" else np.linalg.inv(matrix)
     covariance = 0.5 * (covariance + covariance.T)
     if size == 6:
         order = [3, 4, 5, 0, 1, 2]

@@ -18,6 +18,7 @@ from slamcmp.datasets.folders import find_folder, numbers, require_file, text_ro
 from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, undistort
+from slamcmp.datasets.text import read_text
 from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
@@ -128,9 +129,7 @@ def _list(path: Path) -> tuple[FloatArray, list[str]]:
 def _guessed(root: Path) -> tuple[Calibration, tuple[str, ...]]:
     """From the folder's name, or from the name of the original recording in the lists' comments."""
     texts = [root.resolve().name]
-    texts += [
-        p.read_text(encoding="utf-8")[:200] for p in (root / "rgb.txt", root / "depth.txt") if p.is_file()
-    ]
+    texts += [read_text(p)[:200] for p in (root / "rgb.txt", root / "depth.txt") if p.is_file()]
     for text in texts:
         found = re.search(r"(?:freiburg|fr)([123])(?!\d)", text)
         if found:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slamcmp.datasets.text import read_text
 from slamcmp.errors import DataError
 
 
@@ -20,12 +21,10 @@ def read_mapping(path: Path) -> dict[str, Any]:
     from ruamel.yaml.error import YAMLError
 
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         if text.startswith("%YAML"):
             text = "\n" + text.partition("\n")[2]
         data = YAML(typ="safe").load(text)
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: not a text file (byte {error.start})") from error
     except YAMLError as error:
         raise DataError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):

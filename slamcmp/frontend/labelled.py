@@ -86,6 +86,7 @@ def labelled(
                 detections.ids[passed],
                 detections.z[passed],
                 detections.R[passed],
+                relative_poses=None if log.relative_poses is None else log.relative_poses[k],
             )
         )
     report = FrontEndReport(STAGES, np.array(counts, dtype=np.int64), tuple(kept))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
 from slamcmp.support.atomic import write_atomically
-from slamcmp.types import Detections, Frame, FrontEndReport, MeasurementStream, Problem
+from slamcmp.types import Detections, Frame, FrontEndReport, MeasurementStream, Problem, RelativePoses
 
 FORMAT = "slamcmp-stream-1"
 AnyArray = NDArray[Any]
@@ -54,6 +54,13 @@ def save_stream(stream: MeasurementStream, path: Path | str) -> None:
         arrays["entry_ids"] = np.concatenate([each.ids for each in entries])
         arrays["entry_z"] = np.concatenate([each.z for each in entries])
         arrays["entry_R"] = np.concatenate([each.R for each in entries])
+    related = [(frame.k, each) for frame in frames if (each := frame.relative_poses) is not None]
+    if related:
+        arrays["related_frame"] = np.array([k for k, _ in related])
+        arrays["related_size"] = np.array([each.frames.size for _, each in related])
+        arrays["related_to"] = np.concatenate([each.frames for _, each in related])
+        arrays["related_T"] = np.concatenate([each.T_earlier_body for _, each in related])
+        arrays["related_P"] = np.concatenate([each.P for _, each in related])
     if stream.report is not None:
         arrays["counts"] = stream.report.counts
         arrays["kept_size"] = np.array([mask.size for mask in stream.report.kept])
@@ -102,7 +109,7 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
     starts = ends - data["size"]
     if len(data["ids"]) != (ends[-1] if ends.size else 0):
         raise DataError("the observation arrays do not have the length that the frames add up to")
-    entries = _entries(data)
+    entries, related = _entries(data), _relative_poses(data)
     # Copies: the base of a slice is the whole array, and with it the future.
     frames = tuple(
         Frame(
@@ -114,6 +121,7 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
             _alone(data["z"][a:b]),
             _alone(data["R"][a:b]),
             entries.get(k),
+            related.get(k),
         )
         for k, (a, b) in enumerate(zip(starts, ends, strict=True))
     )
@@ -146,5 +154,24 @@ def _entries(data: dict[str, Any]) -> dict[int, Detections]:
         k: Detections(*(_alone(data[f"entry_{name}"][b - m : b]) for name in ("z", "R", "ids")))
         for k, m, b in zip(
             data["entry_frame"].tolist(), data["entry_size"].tolist(), ends.tolist(), strict=True
+        )
+    }
+
+
+def _relative_poses(data: dict[str, Any]) -> dict[int, RelativePoses]:
+    """Loop closures, by frame."""
+    if "related_frame" not in data:
+        return {}
+    ends = np.cumsum(data["related_size"])
+    if len(data["related_to"]) != ends[-1]:
+        raise DataError("the relative poses do not have the length that their frames add up to")
+    return {
+        k: RelativePoses(
+            _alone(data["related_to"][b - m : b]),
+            _alone(data["related_T"][b - m : b]),
+            _alone(data["related_P"][b - m : b]),
+        )
+        for k, m, b in zip(
+            data["related_frame"].tolist(), data["related_size"].tolist(), ends.tolist(), strict=True
         )
     }

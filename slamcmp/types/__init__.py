@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.checks import TANGENT_DIM, frozen
-from slamcmp.types.log import CameraFrame, Detections, GroundTruth, Log, Problem
+from slamcmp.types.log import CameraFrame, Detections, GroundTruth, Log, Problem, RelativePoses
 from slamcmp.types.results import Estimate, Landmarks, Run, Status, Trajectory
 from slamcmp.types.sensor import SensorModel
 from slamcmp.types.stream import Frame, FrontEndReport, MeasurementStream
@@ -30,6 +30,7 @@ __all__ = [
     "Log",
     "MeasurementStream",
     "Problem",
+    "RelativePoses",
     "Run",
     "SensorModel",
     "Status",

@@ -58,9 +58,16 @@ def require_psd(covariances: FloatArray, name: str, *, definite: bool) -> None:
         return
     if not np.allclose(covariances, np.swapaxes(covariances, -1, -2), rtol=1e-9, atol=1e-15):
         raise DataError(f"{name}: a covariance is not symmetric")
+    # A direction known far better than another: there only correlations tell a sign from rounding.
     smallest = np.linalg.eigvalsh(covariances)[..., 0]
     scale = np.abs(covariances).max(axis=(-1, -2))
     bad = smallest <= 0 if definite else smallest < -1e-12 * scale
+    if not np.any(bad):
+        return
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
+    deviations = np.sqrt(np.where(variances > 0, variances, 1.0))
+    least = np.linalg.eigvalsh(covariances / (deviations[..., :, None] * deviations[..., None, :]))[..., 0]
+    bad &= least <= 0 if definite else least < -1e-12
     if np.any(bad):
         kind = "positive definite" if definite else "positive semi-definite"
         raise DataError(f"{name}: a covariance is not {kind} (smallest eigenvalue {smallest.min():.3g})")

@@ -13,6 +13,9 @@ from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd, require_unique
 from slamcmp.types.sensor import SensorModel
 
+_SAME_STAMP_S = 1e-9
+"""Within which two time stamps are one."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -55,6 +58,34 @@ class Detections:
 
 
 @dataclass(frozen=True)
+class RelativePoses:
+    """What was measured of the pose of one instant relative to earlier ones: loop closures."""
+
+    frames: IntArray
+    """The earlier frames, (c,); one may stand more than once, each time a measurement of its own."""
+    T_earlier_body: FloatArray
+    """(c, n+1, n+1): maps points of this body to the earlier one."""
+    P: FloatArray
+    """Their covariances in the tangent of this body, (c, p, p)."""
+
+    def __post_init__(self) -> None:
+        frames = frozen(self.frames, "RelativePoses.frames", (None,), np.int64)
+        size = np.shape(self.T_earlier_body)[-1]
+        p = TANGENT_DIM.get(size - 1, 0)
+        assign(
+            self,
+            frames=frames,
+            T_earlier_body=frozen(
+                self.T_earlier_body, "RelativePoses.T_earlier_body", (frames.size, size, size)
+            ),
+            P=frozen(self.P, "RelativePoses.P", (frames.size, p, p)),
+        )
+        require_finite(self.T_earlier_body, "RelativePoses.T_earlier_body")
+        require_finite(self.P, "RelativePoses.P")
+        require_psd(self.P, "RelativePoses.P", definite=True)
+
+
+@dataclass(frozen=True)
 class CameraFrame:
     """What the robot's cameras delivered at one instant; all images have the size of the left one."""
 
@@ -70,23 +101,34 @@ class CameraFrame:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What the estimators never see."""
+    """What the estimators never see.
+
+    It may have gaps: a pose that is not finite is not known, and no score uses its frame.
+    """
 
     t: FloatArray
-    """(K,) [s], the time stamps of the log."""
+    """(K,) [s], the time stamps of the log; :class:`Log` fills in those that are missing here."""
     T_world_body: FloatArray
-    """(K, n+1, n+1)."""
+    """(K, n+1, n+1); NaN where it is not known."""
     ids: IntArray
     """(L,)."""
     positions: FloatArray
     """(L, n) [m]."""
     outliers: tuple[BoolArray, ...] | None = None
     """Where the log's detections were spoilt on purpose: one mask a frame, over its detections."""
+    P: FloatArray | None = None
+    """Covariances of the poses, (K, p, p) in their body tangent; None: they are exact. NaN where a pose is
+    not known."""
 
     def __post_init__(self) -> None:
         t = frozen(self.t, "GroundTruth.t", (None,))
         poses = np.asarray(self.T_world_body, dtype=np.float64)
         size = poses.shape[-1]
+        if self.P is not None:
+            p = TANGENT_DIM.get(size - 1, 0)
+            P = frozen(self.P, "GroundTruth.P", (t.size, p, p))
+            require_psd(P[np.isfinite(P).all(axis=(1, 2))], "GroundTruth.P", definite=False)
+            assign(self, P=P)
         ids = frozen(self.ids, "GroundTruth.ids", (None,), np.int64)
         require_unique(ids, "GroundTruth.ids")
         assign(
@@ -96,6 +138,37 @@ class GroundTruth:
             ids=ids,
             positions=frozen(self.positions, "GroundTruth.positions", (ids.size, size - 1)),
         )
+
+    def known(self) -> BoolArray:
+        """Of which frames the pose is known, (K,)."""
+        return np.asarray(np.isfinite(self.T_world_body).all(axis=(1, 2)))
+
+    def at(self, t: FloatArray) -> GroundTruth:
+        """The same at the stamps t (K,), with a gap at each one that is missing here.
+
+        Raises:
+            DataError: it has a stamp twice, or one that is not among them.
+        """
+        if self.t.shape == t.shape:
+            return self
+        rows = np.argmin(np.abs(t[None, :] - self.t[:, None]), axis=1) if t.size else np.empty(0, np.int64)
+        strange = np.flatnonzero(np.abs(t[rows] - self.t) > _SAME_STAMP_S)
+        if strange.size or not t.size:
+            raise DataError(
+                f"GroundTruth.t: {self.t[strange[0] if strange.size else 0]!r} s is none of the log's "
+                f"{t.size} time stamps; give truth at them, with some left out where it is not known"
+            )
+        if np.unique(rows).size != rows.size:
+            raise DataError("GroundTruth.t: two poses have one time stamp of the log")
+        if self.outliers is not None:
+            raise DataError(f"GroundTruth.outliers: {self.t.size} masks for {t.size} frames")
+        poses = np.full((t.size, *self.T_world_body.shape[1:]), np.nan)
+        poses[rows] = self.T_world_body
+        P = None
+        if self.P is not None:
+            P = np.full((t.size, *self.P.shape[1:]), np.nan)
+            P[rows] = self.P
+        return GroundTruth(t, poses, self.ids, self.positions, P=P)
 
 
 @dataclass(frozen=True)
@@ -117,6 +190,10 @@ class Log:
     """One entry a frame, read or rendered when it is asked for; None for sensors without images."""
     warnings: tuple[str, ...] = ()
     """What a reader of the results must know about the recording, such as lines that were left out."""
+    relative_poses: tuple[RelativePoses | None, ...] | None = None
+    """One entry a frame, None where nothing relates it to an earlier one; None for logs without any."""
+    own_ids: IntArray | None = None
+    """(L,): what the recording itself calls the landmarks 0 … L - 1, where it has other names for them."""
 
     def __post_init__(self) -> None:
         n = self.problem.sensor.space_dim
@@ -130,7 +207,11 @@ class Log:
         )
         if len(self.detections) != t.size:
             raise DataError(f"Log.detections: {len(self.detections)} entries for {t.size} frames")
-        if self.truth is not None and self.truth.t.size != t.size:
-            raise DataError(f"Log.truth: {self.truth.t.size} poses for {t.size} frames")
+        if self.truth is not None:
+            assign(self, truth=self.truth.at(self.t))
+        if self.relative_poses is not None and len(self.relative_poses) != t.size:
+            raise DataError(f"Log.relative_poses: {len(self.relative_poses)} entries for {t.size} frames")
+        if self.own_ids is not None:
+            assign(self, own_ids=frozen(self.own_ids, "Log.own_ids", (None,), np.int64))
         if self.images is not None and len(self.images) != t.size:
             raise DataError(f"Log.images: {len(self.images)} images for {t.size} frames")

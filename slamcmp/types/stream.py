@@ -13,7 +13,7 @@ import numpy as np
 from slamcmp.errors import DataError
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd
-from slamcmp.types.log import Detections, Problem
+from slamcmp.types.log import Detections, Problem, RelativePoses
 from slamcmp.types.sensor import SensorModel
 
 
@@ -41,6 +41,8 @@ class Frame:
     entries: Detections | None = None
     """Landmarks that enter the map here, measured by ``entry_sensor`` (models/sensors.py); only where one
     measurement of the stream's own sensor does not place a landmark, as a single camera's does not."""
+    relative_poses: RelativePoses | None = None
+    """What was measured of this pose relative to earlier ones; None in most streams."""
 
     def __post_init__(self) -> None:
         increment = np.asarray(self.T_prev_body)
@@ -115,6 +117,7 @@ class MeasurementStream:
             if frame.ids.size > 1 and np.unique(frame.ids).size != frame.ids.size:
                 raise DataError(f"{where}: a landmark id stands twice")
             _check_entries(sensor, frame, entered, where)
+            _check_relative_poses(frame, size, where)
         first = self.frames[0]
         if not np.array_equal(first.T_prev_body, np.eye(size)) or first.Q.any():
             raise DataError("MeasurementStream.frames[0]: must carry the identity and Q = 0")
@@ -157,6 +160,12 @@ class MeasurementStream:
                 hasher.update(frame.entries.ids.astype("<i8").tobytes())
                 hasher.update(frame.entries.z.astype("<f8").tobytes())
                 hasher.update(frame.entries.R.astype("<f8").tobytes())
+            if frame.relative_poses is not None:
+                related = frame.relative_poses
+                hasher.update(b"relative_poses" + np.array([related.frames.size], dtype="<i8").tobytes())
+                hasher.update(related.frames.astype("<i8").tobytes())
+                hasher.update(related.T_earlier_body.astype("<f8").tobytes())
+                hasher.update(related.P.astype("<f8").tobytes())
         return hasher.hexdigest()
 
 
@@ -186,3 +195,20 @@ def _check_entries(sensor: SensorModel, frame: Frame, entered: set[int], where: 
             )
         if frame.entries is not None:
             entered.update(frame.entries.ids.tolist())
+
+
+def _check_relative_poses(frame: Frame, size: int, where: str) -> None:
+    """They are of the stream's space, and to frames before their own."""
+    related = frame.relative_poses
+    if related is None:
+        return
+    if not related.frames.size:
+        raise DataError(f"{where}: relative_poses without an entry; None is needed")
+    if related.T_earlier_body.shape[1] != size:
+        raise DataError(
+            f"{where}: relative poses {related.T_earlier_body.shape[1:]} where {(size, size)} is needed"
+        )
+    if related.frames.min() < 0 or related.frames.max() >= frame.k:
+        raise DataError(
+            f"{where}: a pose relative to frame {related.frames.max()}; one of an earlier frame is needed"
+        )

@@ -124,7 +124,7 @@ def test_places_of_w100_agree_with_the_optimum_of_the_whole_pose_graph():
     assert len(pairs) == 40
     assert max(apart) < 0.07
 
-    log = graph_file(path="w100.graph")
+    log = graph_file(path="w100.graph", closures="places")
     ids = np.concatenate([seen.ids for seen in log.detections])
     assert (len(log.t), len(np.unique(ids)), len(ids)) == (100, 24, 161)
     sensor = log.problem.sensor
@@ -155,7 +155,7 @@ def test_place_landmarks_by_hand(tmp_path):
         # Stored the other way round: pose 1 sees pose 3; at pose 3 this is a sight of pose 1.
         "EDGE_SE2 1 3 1 0 3.141592653589793 4 0 0 16 0 4",
     )
-    log = graph_log(read_graph(path), name="hand", place_sigma_m=0.02)
+    log = graph_log(read_graph(path), name="hand", closures="places", place_sigma_m=0.02)
     assert [seen.ids.tolist() for seen in log.detections] == [[0], [1], [], [0, 1]]
     for k in (0, 1):
         np.testing.assert_array_equal(log.detections[k].z, [[0, 0]])
@@ -174,7 +174,7 @@ def test_a_places_noise_is_turned_into_the_observers_axes(tmp_path, angle):
         "EDGE_SE2 1 2 1 0 0 4 0 0 4 0 4",
         f"EDGE_SE2 2 0 -2 0.1 {angle} 4 0 0 16 0 4",
     )
-    log = graph_log(read_graph(path), name="hand")
+    log = graph_log(read_graph(path), name="hand", closures="places")
     # Pose 0's x axis, with sigma 1/2, points along (cos, sin) as seen from pose 2.
     along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
     expected = np.outer(along, along) / 4 + np.outer(across, across) / 16
@@ -188,7 +188,7 @@ def test_a_places_noise_is_turned_into_the_observers_axes(tmp_path, angle):
         *(f"EDGE_SE3:QUAT {k} {k + 1} 1 0 0 0 0 0 1 " + " ".join(numbers) for k in range(2)),
         f"EDGE_SE3:QUAT 2 0 -2 0.1 0.3 0 0 {np.sin(angle / 2)} {np.cos(angle / 2)} " + " ".join(numbers),
     )
-    seen = graph_log(read_graph(spatial), name="hand").detections[2]
+    seen = graph_log(read_graph(spatial), name="hand", closures="places").detections[2]
     np.testing.assert_allclose(seen.z, [[-2, 0.1, 0.3]], rtol=0, atol=1e-14)
     np.testing.assert_allclose(seen.R[0, :2, :2], expected, rtol=0, atol=1e-14)
     np.testing.assert_allclose(seen.R[0, 2], [0, 0, 1 / 25], rtol=0, atol=1e-14)
@@ -203,7 +203,7 @@ def test_equivalent_poses_share_a_landmark_and_repeated_sights_are_fused(tmp_pat
         "EDGE_SE2 4 2 -2 0.3 0 3 0 0 3 0 1",
         "EQUIV 2 0",
     )
-    log = graph_log(read_graph(path), name="hand")
+    log = graph_log(read_graph(path), name="hand", closures="places")
     assert [seen.ids.tolist() for seen in log.detections] == [[0], [], [], [], [0]]
     # Weights 1 and 3.
     np.testing.assert_allclose(log.detections[4].z, [[-2.5, 0.225]], rtol=0, atol=1e-14)
@@ -226,12 +226,12 @@ def test_places_beside_landmarks_get_ids_of_their_own(tmp_path):
         "EDGE_SE2 2 0 -2 0 0 4 0 0 4 0 4",
         "EDGE_SE2_XY 1 7 1 1 4 0 4",
     )
-    log = graph_log(read_graph(path), name="hand")
+    log = graph_log(read_graph(path), name="hand", closures="places")
     assert [seen.ids.tolist() for seen in log.detections] == [[8], [7], [8]]
 
 
 def test_steps_never_look_into_the_future():
-    whole, short = graph_file(path="w100.graph"), graph_file(path="w100.graph", steps=45)
+    whole, short = (graph_file(path="w100.graph", closures="places", steps=steps) for steps in (None, 45))
     assert len(short.t) == 45
     np.testing.assert_array_equal(short.T_prev_body, whole.T_prev_body[:45])
     for a, b in zip(short.detections, whole.detections, strict=False):
@@ -268,7 +268,7 @@ def test_priors_times_and_vertices(tmp_path):
 )
 def test_graphs_that_are_no_logs(tmp_path, lines, message):
     with pytest.raises(DataError, match=message):
-        graph_log(read_graph(write(tmp_path, *lines)), name="x")
+        graph_log(read_graph(write(tmp_path, *lines)), name="x", closures="places")
 
 
 def test_registered_with_its_file(tmp_path):

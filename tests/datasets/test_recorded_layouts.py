@@ -84,7 +84,7 @@ def test_what_is_wrong_with_a_kitti_sequence(kitti: Path) -> None:
     assert kitti_odometry(0, folder=str(kitti), odometry="constant_position").truth is None
     assert "nothing.txt: there is no such file" in message(MissingDataError, poses="nothing.txt")
     (kitti / "times.txt").write_text("0.0\n0.1\nzero\n")
-    assert "times.txt:3: 'zero' is not a number" in message(DataError)
+    assert "times.txt:3: 'zero' is not a finite number" in message(DataError)
     (kitti / "calib.txt").write_text("P0: 350 0 310 0 0 350 94 0 0 0 1\n")
     assert "calib.txt: has no projection matrix P0 of 12 numbers" in message(DataError)
     (kitti / "calib.txt").write_text("P0: 707 0 602 0 0 707 183 0 0 0 1 0\n")

@@ -57,8 +57,8 @@ def test_columns_of_a_tum_file(tmp_path: Path) -> None:
     [
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0", r"truth\.txt:2: 6 fields where 8 are needed; is the file truncated"),
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0.1 0", "pose 1 has a quaternion of norm 0.1; 1 is needed"),
-        ("0 0 0 0 0 0 0 1\n1 0 0 x 0 0 0 1", r"truth\.txt:2: 'x' is not a number"),
-        ("0 0 0 0 0 0 0 1\n1 0 0 nan 0 0 0 1", r"truth\.txt:2: numbers that are not finite"),
+        ("0 0 0 0 0 0 0 1\n1 0 0 x 0 0 0 1", r"truth\.txt:2: 'x' is not a finite number"),
+        ("0 0 0 0 0 0 0 1\n1 0 0 nan 0 0 0 1", r"truth\.txt:2: 'nan' is not a finite number"),
         ("0 0 0 0 0 0 0 1", "1 pose.* at least two"),
         ("# nothing\n", "holds no line of 8 numbers"),
     ],

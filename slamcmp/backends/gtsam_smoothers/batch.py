@@ -66,6 +66,8 @@ class Batch:
         DivergedError: GTSAM failed, did not converge, or ended in a solution that cannot be right.
     """
 
+    relative_poses: Literal["used"] = "used"
+
     def __init__(
         self,
         problem: Problem,

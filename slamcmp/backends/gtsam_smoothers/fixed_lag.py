@@ -21,6 +21,7 @@ from annotated_types import Ge, Gt
 from slamcmp.backends.gtsam_smoothers.factors import landmark_key, pose_key
 from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, RobustKernel, diverged, require_finite
 from slamcmp.backends.gtsam_smoothers.incremental import Factorization, isam2_parameters
+from slamcmp.errors import UsageError
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
 
@@ -52,6 +53,8 @@ class FixedLag:
         UsageError: prior or odometry covariance is singular.
         DivergedError: GTSAM failed, or an estimate is not finite; feed no further frames.
     """
+
+    relative_poses: Literal["used"] = "used"
 
     def __init__(
         self,
@@ -101,8 +104,18 @@ class FixedLag:
         self._t: list[float] = []
 
     def update(self, frame: Frame) -> None:
-        """Add the frame to the window, solve, and marginalise what is older than the lag."""
+        """Add the frame to the window, solve, and marginalise what is older than the lag.
+
+        Raises:
+            UsageError: the frame is related to a pose that has left the window.
+        """
         k = frame.k
+        if frame.relative_poses is not None and k - frame.relative_poses.frames.min() > self._lag:
+            raise UsageError(
+                f"fixed_lag: frame {k} is related to frame {frame.relative_poses.frames.min()}, which "
+                "left the "
+                f"window of lag_frames {self._lag}: a longer lag, isam2 or batch can use it"
+            )
         graph, values = self._builder.extend(frame, self._pose)
         # Those that a camera saw after they had left cannot enter again: they have no variable.
         seen = [i for i in frame.ids.tolist() if i in self._builder.known]

@@ -65,6 +65,7 @@ class GraphBuilder:
         self._prior_factor = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
         self._between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
         self._odometry_noise = NoiseCache(self._odometry_model)
+        self._closure_noise = NoiseCache(noiseModel.Gaussian.Covariance)
         wrap = _robust_wrapper(robust, robust_width)
         self._observations = observation_factors(self._sensor, wrap)
         self._entries = None
@@ -96,6 +97,7 @@ class GraphBuilder:
             predicted = previous.compose(increment)
             graph.add(self._between(key - 1, key, increment, self._odometry_noise(frame.Q)))
         values.insert(key, predicted)
+        self._close_loops(graph, key, frame)
         self._observe(graph, values, predicted, frame)
         self.next_frame = k + 1
         self._rows += TANGENT_DIM[self.space_dim]
@@ -179,6 +181,16 @@ class GraphBuilder:
     def _odometry_model(self, Q: FloatArray) -> Any:
         require_definite(Q, f"the odometry covariance Q of frame {self.next_frame}")
         return noiseModel.Gaussian.Covariance(Q)
+
+    def _close_loops(self, graph: Any, key: int, frame: Frame) -> None:
+        """Factors of what was measured of the pose relative to earlier ones."""
+        related = frame.relative_poses
+        if related is None:
+            return
+        for earlier, T, P in zip(related.frames.tolist(), related.T_earlier_body, related.P, strict=True):
+            require_definite(P, f"the covariance of frame {frame.k} relative to frame {earlier}")
+            graph.add(self._between(pose_key(earlier), key, _to_gtsam(T), self._closure_noise(P)))
+        self._rows += TANGENT_DIM[self.space_dim] * related.frames.size
 
     def _observe(self, graph: Any, values: Any, predicted: Any, frame: Frame) -> None:
         """Factors of the frame's observations and of the landmarks that enter with it."""

@@ -12,7 +12,7 @@ Kaess et al. 2012, "iSAM2: Incremental smoothing and mapping using the Bayes tre
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -49,6 +49,8 @@ class Isam2:
         UsageError: prior or odometry covariance is singular.
         DivergedError: GTSAM failed, or an estimate is not finite; feed no further frames.
     """
+
+    relative_poses: Literal["used"] = "used"
 
     def __init__(
         self,

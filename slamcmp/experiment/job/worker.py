@@ -52,6 +52,7 @@ def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
     recorder = None if task.record is None else Recorder(task.record, len(stream.frames))
 
     def make(problem: Problem) -> BackEnd:
+        _require_use_of_relative_poses(plugin, stream)
         made = _make_back_end(plugin, problem, bound, task)
         return made if recorder is None else recorder.begin(made)
 
@@ -88,6 +89,22 @@ def scored(run: Run, truth: GroundTruth | None) -> StoredRun:
     with contextlib.suppress(Exception):
         scores = score_run(online, truth)
     return StoredRun(online, scores, run.completion)
+
+
+def _require_use_of_relative_poses(plugin: Plugin, stream: MeasurementStream) -> None:
+    """Raise UsageError for a stream with loop closures between poses that the back end would leave out."""
+    if getattr(plugin.target, "relative_poses", None) is not None:
+        return
+    for frame in stream.frames:
+        if frame.relative_poses is not None:
+            raise UsageError(
+                f"{plugin.name} cannot use loop closures between poses (frame {frame.k} is related to frame "
+                f"{frame.relative_poses.frames[0]}): its state has no earlier poses. Take a smoother "
+                "(isam2, batch; "
+                "fixed_lag within its lag), or set the source's closures to 'places', which replaces "
+                "them by sights "
+                "of places for every back end"
+            )
 
 
 def _make_back_end(plugin: Plugin, problem: Problem, bound: Mapping[str, Any], task: Task) -> BackEnd:
