@@ -24,7 +24,7 @@ from slamcmp.results.posteriors import save_posteriors
 from slamcmp.results.run_file import StoredRun, load_truth, save_run
 from slamcmp.support.messages import describe
 from slamcmp.support.plugin_models import bind_parameters
-from slamcmp.types import GroundTruth, Problem, Run, Status
+from slamcmp.types import GroundTruth, MeasurementStream, Problem, Run, Status
 
 
 def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
