@@ -27,9 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slamcmp.backends.window.cost import ObservationTerms, OdometryTerms
 from slamcmp.types import FloatArray, IntArray
 
 
@@ -125,7 +123,7 @@ class UnanchoredFilter:
 
     def told(self) -> tuple[FloatArray, FloatArray]:
         """Root (p, p) of the information on the pose without the map, and its scale (p,), in the chart."""
-        return _last_block(self._triangle(), self._p), np.sqrt(self._squares)
+        return last_block(self._triangle(), self._p), np.sqrt(self._squares)
 
     def _columns(self, states: IntArray) -> IntArray:
         p, map_size = self._p, self._states - self._p
@@ -135,83 +133,6 @@ class UnanchoredFilter:
         if len(self._rows) > 1 or len(self._rows[0]) > self._rows[0].shape[1]:
             self._rows = [triangular(np.concatenate(self._rows))]
         return self._rows[0]
-
-
-class UnanchoredWindow:
-    """The same of a sliding window: its marginal prior without the start, linearised as the real one is.
-
-    Columns of a root: a pose, then the landmarks.
-
-    Args:
-        p: dimension of the pose's error.
-    """
-
-    def __init__(self, p: int) -> None:
-        self._p = p
-        self._prior: FloatArray = np.empty((0, p))
-        self._linear = self._prior
-        self._squares = np.zeros(p)
-
-    def linearise(self, J: FloatArray) -> None:
-        """Take the prior to the pose's error of which its own is J (p, p) times."""
-        self._linear = _by_pose(self._prior, J)
-
-    def turn(self, J: FloatArray) -> None:
-        """The same for what ``linearise`` left."""
-        self._linear = _by_pose(self._linear, J)
-
-    def marginalise(
-        self,
-        odometry: OdometryTerms,
-        observations: ObservationTerms,
-        pose_of: IntArray,
-        landmark_of: IntArray,
-    ) -> None:
-        """Turn the oldest pose's rows into a prior on the next."""
-        here = pose_of == 0
-        self._squares += (observations.H_pose[here] ** 2).sum(axis=(0, 1))
-        rows = self._of_pose(self._linear, observations, here, landmark_of)
-        self._prior = self._linear = _passed_on(rows, odometry.A_prev[0], odometry.A_next[0])
-
-    def drop(self, landmarks: IntArray, n: int) -> None:
-        """Marginalise the landmarks (m,) with these numbers out of the prior."""
-        p, R = self._p, self._prior
-        known = landmarks[p + n * (landmarks + 1) <= R.shape[1]]
-        states = (p + n * known[:, None] + np.arange(n)).ravel()
-        keep = np.setdiff1d(np.arange(R.shape[1]), states)
-        R = triangular(R[:, np.concatenate([states, keep])])
-        self._prior = self._linear = R[states.size :, states.size :]
-
-    def told(
-        self,
-        odometry: OdometryTerms,
-        observations: ObservationTerms,
-        pose_of: IntArray,
-        landmark_of: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Root (p, p) of the information on the last pose, all else eliminated, and its scale (p,)."""
-        R, last = self._linear, odometry.b.shape[0]
-        for pose in range(last):
-            rows = self._of_pose(R, observations, pose_of == pose, landmark_of)
-            R = _passed_on(rows, odometry.A_prev[pose], odometry.A_next[pose])
-        R = self._of_pose(R, observations, pose_of == last, landmark_of)
-        squares = self._squares + (observations.H_pose**2).sum(axis=(0, 1))
-        p = self._p
-        return _last_block(triangular(np.concatenate([R[:, p:], R[:, :p]], axis=1)), p), np.sqrt(squares)
-
-    def _of_pose(
-        self, R: FloatArray, observations: ObservationTerms, here: NDArray[np.bool_], landmark_of: IntArray
-    ) -> FloatArray:
-        """The rows R on a pose and landmarks, with those of the observations ``here`` below."""
-        H_pose, H_land, numbers = observations.H_pose[here], observations.H_land[here], landmark_of[here]
-        m, d, p = H_pose.shape
-        n = H_land.shape[2]
-        size = max(R.shape[1], p + n * (int(numbers.max(initial=-1)) + 1))
-        rows = np.zeros((m, d, size))
-        rows[:, :, :p] = H_pose
-        columns = p + n * numbers[:, None] + np.arange(n)
-        rows[np.arange(m)[:, None, None], np.arange(d)[:, None], columns[:, None, :]] = H_land
-        return np.concatenate([np.pad(R, ((0, 0), (0, size - R.shape[1]))), rows.reshape(m * d, size)])
 
 
 def triangular(rows: FloatArray) -> FloatArray:
@@ -226,20 +147,7 @@ def square_root(P: FloatArray) -> FloatArray:
     return root
 
 
-def _by_pose(R: FloatArray, J: FloatArray) -> FloatArray:
-    p = len(J)
-    return np.concatenate([R[:, :p] @ J, R[:, p:]], axis=1)
-
-
-def _passed_on(rows: FloatArray, A_prev: FloatArray, A_next: FloatArray) -> FloatArray:
-    """Rows on (pose, landmarks) and an increment's, as rows on (next pose, landmarks)."""
-    p = len(A_prev)
-    increment = np.concatenate([A_prev, np.zeros((p, rows.shape[1] - p)), A_next], axis=1)
-    R = triangular(np.concatenate([np.pad(rows, ((0, 0), (0, p))), increment]))[p:, p:]
-    return np.concatenate([R[:, -p:], R[:, :-p]], axis=1)
-
-
-def _last_block(R: FloatArray, p: int) -> FloatArray:
+def last_block(R: FloatArray, p: int) -> FloatArray:
     """The last block (p, p) of a triangular factor that may lack its last rows."""
     block = R[R.shape[1] - p :, -p:]
     return np.pad(block, ((0, p - len(block)), (0, 0)))

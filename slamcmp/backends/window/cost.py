@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slamcmp.backends.window.marginalisation import Quadratic
-from slamcmp.backends.window.sights import Sights
+from slamcmp.backends.window.sights import Measurements, Sights
 from slamcmp.geometry import adjoint, change_of_axes, inverse, log, right_jacobian
-from slamcmp.types import BoolArray, FloatArray, IntArray
+from slamcmp.types import FloatArray, IntArray
 
 
 @dataclass
@@ -60,9 +60,9 @@ class OdometryTerms:
             np.concatenate([self.b, other.b]),
         )
 
-    def after_first(self) -> OdometryTerms:
-        """All rows but the first."""
-        return OdometryTerms(self.A_prev[1:], self.A_next[1:], self.b[1:])
+    def of(self, rows: slice) -> OdometryTerms:
+        """These rows."""
+        return OdometryTerms(self.A_prev[rows], self.A_next[rows], self.b[rows])
 
 
 @dataclass
@@ -93,9 +93,44 @@ class ObservationTerms:
             np.concatenate([self.b, other.b]),
         )
 
-    def of(self, rows: BoolArray) -> ObservationTerms:
-        """The rows of a mask (M,)."""
+    def of(self, rows: slice) -> ObservationTerms:
+        """These rows."""
         return ObservationTerms(self.H_pose[rows], self.H_land[rows], self.b[rows])
+
+
+@dataclass
+class LinearCost:
+    """The whole cost of a window about its estimate, delta = 0."""
+
+    prior: Quadratic
+    """On the first pose and the first landmarks."""
+    odometry: OdometryTerms
+    observations: ObservationTerms
+
+    @property
+    def value(self) -> float:
+        """At delta = 0: chi-square of everything so far."""
+        squares = float((self.odometry.b**2).sum() + (self.observations.b**2).sum())
+        return self.prior.c + squares
+
+    def moved(
+        self, rows: Measurements, pose_step: FloatArray, landmark_step: FloatArray, turn: FloatArray
+    ) -> None:
+        """Stand about another estimate, with the same Jacobians.
+
+        Args:
+            rows: the observations, M.
+            pose_step: to it, (K, p).
+            landmark_step: (L, n).
+            turn: from the axes of pose errors before to those after, (K, p, p).
+        """
+        self.odometry.recentre(pose_step)
+        self.odometry.turn(turn)
+        self.observations.recentre(pose_step[rows.pose_of], landmark_step[rows.landmark_of])
+        self.observations.turn(turn[rows.pose_of])
+        known = self.prior.eta.size - pose_step.shape[1]
+        step = np.concatenate([pose_step[0], landmark_step.ravel()[:known]])
+        self.prior = self.prior.recentred(step).with_pose_error(turn[0].T)
 
 
 def odometry_terms(T: FloatArray, at: FloatArray, increments: FloatArray, W: FloatArray) -> OdometryTerms:

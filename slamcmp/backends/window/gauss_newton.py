@@ -1,4 +1,4 @@
-"""One Gauss-Newton step for a chain of poses and the landmarks seen from it.
+"""One Gauss-Newton step for a chain of poses and the landmarks seen from it, and what share of it to take.
 
 The poses but the last are tied only to their neighbours, so their information matrix is block tridiagonal
 and a banded Cholesky factorisation eliminates them (all at once, with the landmarks as right-hand sides);
@@ -16,7 +16,8 @@ L_A       Cholesky factor of A, banded; W = L_A^-1 B
 L_S       Cholesky factor of the Schur complement S = C - W^T W
 ========  =====================================================================
 
-Source: Triggs et al. 2000, "Bundle adjustment: a modern synthesis", sec. 6.
+Source: Triggs et al. 2000, "Bundle adjustment: a modern synthesis", sec. 6; for the share, Aitken's
+relaxation (Irons and Tuck 1969).
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ from slamcmp.backends.window.cost import ObservationTerms, OdometryTerms
 from slamcmp.backends.window.marginalisation import Quadratic
 from slamcmp.errors import DivergedError
 from slamcmp.types import FloatArray, IntArray
+
+STEEP = 1.5
+"""Up to this c a whole step leaves at most half of itself, and is taken."""
 
 
 class GaussNewtonStep:
@@ -157,6 +161,21 @@ class GaussNewtonStep:
     def _chain_solve(self, right: FloatArray) -> FloatArray:
         solution: FloatArray = dtbtrs(self._L_A, right[:, None], uplo="L", trans="T")[0][:, 0]
         return solution
+
+
+def relaxed_share(step: FloatArray, last_step: FloatArray | None, last_share: float) -> float:
+    """The share of ``step`` (states,) to take after ``last_share`` of the whole ``last_step``, at most 1.
+
+    Gauss-Newton takes the cost for a parabola of its own curvature. Where the true one along a step is c
+    times as large, the share a of the step leaves (1 - a c) of it to the next: above c = 1 whole steps jump
+    over the minimum, above c = 2 they swing about it for ever, or outwards. The share 1/c ends at the
+    minimum.
+    """
+    if last_step is None:
+        return 1.0
+    left = float(step @ last_step) / float(last_step @ last_step)
+    curvature = (1.0 - left) / last_share
+    return 1.0 / curvature if curvature > STEEP else 1.0
 
 
 def _chain_information(

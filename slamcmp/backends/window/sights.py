@@ -15,12 +15,12 @@ H         derivatives of h by the body tangent (M, d, p) and the landmark (M, d,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slamcmp.backends.entries import behind, derivatives, errors
-from slamcmp.types import BoolArray, FloatArray, SensorModel
+from slamcmp.types import BoolArray, FloatArray, IntArray, SensorModel
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,52 @@ class Sights:
 
     def _parts(self, entering: BoolArray) -> tuple[tuple[SensorModel, BoolArray], ...]:
         return (self.sensor, ~entering), (self.entry_sensor, entering)
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """The observations of a window, whitened and filled up, in the order in which they came."""
+
+    z: FloatArray
+    """(M, d)."""
+    W: FloatArray
+    """(M, d, d)."""
+    pose_of: IntArray
+    """Index in the window of the pose that each was made from, (M,): they ascend."""
+    landmark_of: IntArray
+    """Number of the landmark that each is of, (M,)."""
+    entering: BoolArray
+    """Which the entry sensor made, (M,)."""
+
+    @classmethod
+    def none(cls, d: int) -> Measurements:
+        """No rows of dimension d."""
+        no_number = np.empty(0, dtype=np.int64)
+        return cls(np.empty((0, d)), np.empty((0, d, d)), no_number, no_number, np.empty(0, dtype=bool))
+
+    def followed_by(self, other: Measurements) -> Measurements:
+        """These rows, then the other's."""
+        return Measurements(
+            np.concatenate([self.z, other.z]),
+            np.concatenate([self.W, other.W]),
+            np.concatenate([self.pose_of, other.pose_of]),
+            np.concatenate([self.landmark_of, other.landmark_of]),
+            np.concatenate([self.entering, other.entering]),
+        )
+
+    def of(self, rows: slice) -> Measurements:
+        """These rows."""
+        return Measurements(
+            self.z[rows], self.W[rows], self.pose_of[rows], self.landmark_of[rows], self.entering[rows]
+        )
+
+    def from_first_pose(self) -> int:
+        """How many were made from the window's oldest pose: the first ones."""
+        return int(np.searchsorted(self.pose_of, 0, side="right"))
+
+    def renumbered(self, pose_of: IntArray, landmark_of: IntArray) -> Measurements:
+        """The same rows with other indices of poses and landmarks."""
+        return replace(self, pose_of=pose_of, landmark_of=landmark_of)
 
 
 def padded(z: FloatArray, W: FloatArray, d: int) -> tuple[FloatArray, FloatArray]:

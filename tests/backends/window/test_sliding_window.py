@@ -358,3 +358,22 @@ def test_singular_noise_is_refused_with_the_reason() -> None:
         smoother.update(
             Frame(1, frame.t, frame.T_prev_body, np.diag([1.0, 0, 1]), frame.ids, frame.z, frame.R)
         )
+
+
+def test_a_frame_is_the_three_steps_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each by its name; a pose leaves with the last solve's Jacobians, so before the frame's own."""
+    stream, _, _ = toy_stream(frames=4)
+    window = SlidingWindow(stream.problem, window=2)
+    done: list[str] = []
+    for name in ("construct", "marginalise", "solve"):
+        step = getattr(SlidingWindow, name)
+
+        def told(self: SlidingWindow, *frame: Frame, name: str = name, step: Any = step) -> None:
+            done.append(name)
+            step(self, *frame)
+
+        monkeypatch.setattr(SlidingWindow, name, told)
+    for frame in stream.frames:
+        window.update(frame)
+        assert done[-3:] == ["construct", "marginalise", "solve"]
+    assert len(done) == 12
