@@ -216,7 +216,9 @@ def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame
         print(f"warning: {text}", file=sys.stderr)
     search = results.manifest.get("until")
     if search:
-        print(f"seeds: {search['reason']}")
+        coverage = search.get("coverage")
+        real = f" (each holds its median with {100 * coverage:.0f} %)" if coverage is not None else ""
+        print(f"seeds: {search['reason']}{real if search['reached'] else ''}")
     # Before what may follow on standard error.
     print(f"results: {results.folder}", flush=True)
 

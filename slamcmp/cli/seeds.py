@@ -27,11 +27,10 @@ def seeds(
         str, typer.Argument(help="Results folder of a pilot, or the experiment (file or name) it belongs to.")
     ],
     metric: Annotated[str, typer.Option(help="Column of the trials table, e.g. online_ate.")],
-    difference: Annotated[
-        float, typer.Option(min=0.0, help="Difference of the means to be seen, in the metric's unit.")
-    ],
+    difference: Annotated[float, typer.Option(min=0.0, help="Difference to be seen, in the metric's unit.")],
     relative: Annotated[
-        bool, typer.Option("--relative", help="The difference is a share of the first back end's mean.")
+        bool,
+        typer.Option("--relative", help="The difference is a share of the first back end's mean."),
     ] = False,
     power: Annotated[
         float, typer.Option(min=0.01, max=0.999, help="Probability of seeing the difference.")
@@ -41,7 +40,11 @@ def seeds(
     ] = 0.05,
     as_json: Annotated[bool, typer.Option("--json", help="Print the plan as JSON only.")] = False,
 ) -> None:
-    """Say how many seeds a difference between back ends needs, paired and unpaired, from a pilot's seeds."""
+    """Say how many seeds a difference between back ends needs, paired and unpaired, from a pilot's seeds.
+
+    The paired number is for the test that the report shows: Student's t on the log of the ratio, seed by
+    seed. Means are geometric.
+    """
     from slamcmp.results.power import plan_seeds
     from slamcmp.results.store import load_results
 
@@ -84,10 +87,10 @@ def _print(plan: SeedPlan, metric: str, power: float, alpha: float) -> None:
     print(f"{plan.back_end} against {plan.compared_with}{f' at {where}' if where else ''}")
     lost = f", {plan.lost} not finished by both" if plan.lost else ""
     correlation = "" if math.isnan(plan.correlation) else f", correlation {plan.correlation:.2f}"
-    print(f"  pilot: {plan.pairs} pairs{lost}, mean difference {plan.mean_difference:.3g}{correlation}")
+    print(f"  pilot: {plan.pairs} pairs{lost}, ratio {plan.ratio:.3g}{correlation}")
     print(
-        f"  to see a difference of {plan.difference:.3g} in {metric} with probability {power:g} "
-        f"(alpha {alpha:g}):"
+        f"  to see a ratio of {plan.goal:.4g} in {metric} (a difference of {plan.difference:.3g}) with "
+        f"probability {power:g} (alpha {alpha:g}):"
     )
     print(
         f"  paired:   {plan.paired} seeds (simulated {plan.paired_simulated}; the pilot leaves "

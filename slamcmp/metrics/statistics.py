@@ -9,21 +9,21 @@ asked for where it is needed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import bdtr, ndtr, ndtri
+from scipy.special import bdtr, stdtr, stdtrit
 
 from slamcmp.errors import UsageError
 from slamcmp.metrics.consistency import average_band
 from slamcmp.types import FloatArray
 
-Statistic = Callable[..., Any]
-"""A numpy reduction such as ``np.mean``, called with ``axis=-1``."""
-
+FEWEST_FOR_MEAN = 50
+"""Runs, below which no interval of a mean of skewed errors is to be trusted."""
+FEWEST_RATIOS = 5
+"""Pairs, below which no interval of a ratio is told."""
 EXACT_PAIRS = 60
 """Up to here the signed-rank test counts every sign pattern; beyond, the normal limit is good to 0.005."""
 EXACT_TIED_PAIRS = 13
@@ -78,48 +78,90 @@ def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
     if not runs:
         return Interval(math.nan, math.nan, math.nan, 0, confidence)
     low = high = math.nan
-    outside = bdtr(np.arange(runs // 2), runs, 0.5)
-    rank = int(np.searchsorted(outside, (1.0 - confidence) / 2.0, side="right"))
+    rank = median_rank(runs, confidence)
     if rank:
         low, high = float(ordered[rank - 1]), float(ordered[runs - rank])
     return Interval(float(np.median(ordered)), low, high, runs, confidence)
 
 
-def bootstrap_interval(
-    values: ArrayLike,
-    statistic: Statistic = np.mean,
-    *,
-    confidence: float = 0.95,
-    resamples: int = 4000,
-    seed: int = 0,
-) -> Interval:
-    """A statistic's bias-corrected and accelerated bootstrap interval (Efron 1987, eq. 2.3 and 6.6).
+def median_rank(runs: int, confidence: float = 0.95) -> int:
+    """Which smallest and which largest of so many values bound their median; 0: they are too few."""
+    outside = bdtr(np.arange(runs // 2), runs, 0.5)
+    return int(np.searchsorted(outside, (1.0 - confidence) / 2.0, side="right"))
 
-    For smooth statistics: the acceleration comes from leaving out one run at a time, which says nothing
-    about a median (use :func:`median_interval`). Below three runs there is no interval.
+
+def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
+    """The mean with Student's interval corrected for skewness.
+
+    By Hall's cubic transform of the studentised mean (Hall 1992, "On the removal of skewness by
+    transformation"). Errors of estimators are skewed, and their mean lives on the few largest: bootstrap
+    intervals hold the true mean far too seldom at the sizes of experiments (bias-corrected and accelerated:
+    92 % of the samples of 12). Below :data:`FEWEST_FOR_MEAN` runs, from where on this one covers 93 to 97 %
+    for errors whose standard deviation is up to their mean, there is none; a median has one sooner.
     """
     sample = finite(values)
     runs = sample.size
-    if not runs:
+    mean = float(sample.mean()) if runs else math.nan
+    if runs < FEWEST_FOR_MEAN:
+        return Interval(mean, math.nan, math.nan, runs, confidence)
+    deviation = float(sample.std(ddof=1))
+    if deviation == 0.0:
+        return Interval(mean, mean, mean, runs, confidence)
+    skewness = float(((sample - mean) ** 3).mean()) / float(sample.std()) ** 3
+    skewness *= math.sqrt(runs * (runs - 1.0)) / (runs - 2.0)
+
+    def corrected(quantile: float) -> float:
+        """The studentised mean whose transform g(t) = t + a t² + a² t³ / 3 + b / n is this quantile's."""
+        t = quantile / math.sqrt(runs)
+        a, b = skewness / 3.0, skewness / 6.0
+        return t if abs(a) < 1e-9 else float((np.cbrt(1.0 + 3.0 * a * (t - b / runs)) - 1.0) / a)
+
+    quantile = float(stdtrit(runs - 1.0, (1.0 + confidence) / 2.0))
+    low, high = (mean - deviation * corrected(each) for each in (quantile, -quantile))
+    return Interval(mean, low, high, runs, confidence)
+
+
+def ratio_interval(values: ArrayLike, reference: ArrayLike, confidence: float = 0.95) -> Interval:
+    """The geometric mean of ``values / reference`` over the pairs, by Student's t on the log of the ratios.
+
+    Logarithms of error ratios are near normal, however skewed the errors: the interval covers 93 to 97 %
+    from :data:`FEWEST_RATIOS` pairs on (below there is none), unless one run in ten is off by a factor of
+    several in one direction; then from 30 pairs on. Pairs that are not both above 0 are left out.
+    """
+    logs = log_ratios(values, reference)
+    if not logs.size:
         return Interval(math.nan, math.nan, math.nan, 0, confidence)
-    estimate = float(statistic(sample, axis=-1))
-    if runs < 3:
-        return Interval(estimate, math.nan, math.nan, runs, confidence)
-    rng = np.random.default_rng(seed)
-    replicates = np.sort(statistic(sample[rng.integers(runs, size=(resamples, runs))], axis=-1))
-    if replicates[0] == replicates[-1]:
-        return Interval(estimate, estimate, estimate, runs, confidence)
-    left_out = sample[np.array([np.delete(np.arange(runs), i) for i in range(runs)])]
-    influence = np.mean(jackknifed := statistic(left_out, axis=-1)) - jackknifed
-    spread = float((influence**2).sum())
-    acceleration = float((influence**3).sum()) / (6.0 * spread**1.5) if spread > 0.0 else 0.0
-    # Half of the replicates that equal the estimate count as below it; never 0 or 1, where ndtri is infinite.
-    below = (np.searchsorted(replicates, estimate) + np.searchsorted(replicates, estimate, "right")) / 2
-    bias = ndtri(np.clip(below / resamples, 1 / resamples, 1 - 1 / resamples))
-    z = bias + ndtri(np.array([(1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0]))
-    shares = ndtr(bias + z / (1.0 - acceleration * z))
-    low, high = np.quantile(replicates, shares)
-    return Interval(estimate, float(low), float(high), runs, confidence)
+    mean = float(logs.mean())
+    if logs.size < FEWEST_RATIOS:
+        return Interval(math.exp(mean), math.nan, math.nan, logs.size, confidence)
+    quantile = float(stdtrit(logs.size - 1.0, (1.0 + confidence) / 2.0))
+    half = quantile * float(logs.std(ddof=1)) / math.sqrt(logs.size)
+    return Interval(math.exp(mean), math.exp(mean - half), math.exp(mean + half), logs.size, confidence)
+
+
+def ratio_test(values: ArrayLike, reference: ArrayLike) -> float:
+    """Two-sided p value of Student's paired t test on the log of the ratios, which are 1 if both are alike.
+
+    It is below 0.05 exactly where the 95 % interval of :func:`ratio_interval` leaves 1 out, and is the test
+    that ``slamcmp seeds`` plans. NaN below :data:`FEWEST_RATIOS` pairs.
+    """
+    logs = log_ratios(values, reference)
+    if logs.size < FEWEST_RATIOS:
+        return math.nan
+    mean, error = float(logs.mean()), float(logs.std(ddof=1)) / math.sqrt(logs.size)
+    if error == 0.0:
+        return 1.0 if mean == 0.0 else 0.0
+    return 2.0 * float(stdtr(logs.size - 1.0, -abs(mean) / error))
+
+
+def log_ratios(values: ArrayLike, reference: ArrayLike) -> FloatArray:
+    """``log(values / reference)`` of the pairs in which both are above 0 and finite.
+
+    Raises:
+        UsageError: the two do not have the same length.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return finite(np.log(paired_values(values, reference, "ratio")))
 
 
 def paired_values(

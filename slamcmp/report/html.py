@@ -163,11 +163,13 @@ def _search_text(manifest: Mapping[str, Any]) -> str:
         return ""
     asked = f"{100 * search['half_width']:g} %" if search["relative"] else f"{search['half_width']:g}"
     confidence = f"{100 * search['confidence']:g} %"
+    coverage = search.get("coverage")
+    real = f": about {100 * coverage:.0f} %" if coverage is not None else ""
     return (
         f"Seeds were added in batches of {search['batch']} until the {confidence} interval of the "
         f"{search['statistic']} of {search['metric']} is within ±{asked}, at most "
         f"{search['max_seeds']} seeds: {search['reason']}. The rule looks at widths only, not at who is "
-        "ahead; an interval that ends a search is still a little too narrow."
+        f"ahead; an interval that ends a search still holds the median a little less often{real}."
     )
 
 

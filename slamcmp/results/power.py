@@ -1,17 +1,20 @@
 """How many seeds a difference between two back ends needs, from the seeds that a pilot has run.
 
+What is planned is the test that the report's paired comparison shows: Student's paired t on the logarithm of
+the ratio, seed by seed (:func:`slamcmp.metrics.statistics.ratio_test`).
+
 ========  ==================================================================
 symbol    meaning (Cohen 1988, ch. 2; Bar-Shalom, Li and Kirubarajan 2001, sec. 1.5)
 ========  ==================================================================
-delta     difference of the means that shall be seen
-s_d       standard deviation of the paired differences
-s_a, s_b  standard deviations of the two back ends over the seeds
+delta     logarithm of the ratio that shall be seen
+s_d       standard deviation of the paired log ratios
+s_a, s_b  standard deviations of the two back ends' logarithms over the seeds
 n         seeds: ((z_alpha + z_power) s_d / delta)² + z_alpha² / 2 for pairs,
           (z_alpha + z_power)² (s_a² + s_b²) / delta² + z_alpha² / 4 a back
           end without pairs; the last terms stand for Student's t (Guenther 1981)
 ========  ==================================================================
 
-The simulation draws seeds from the pilot with replacement, moves their mean difference to delta and counts
+The simulation draws seeds from the pilot with replacement, moves their mean log ratio to delta and counts
 how often Student's (paired) or Welch's (unpaired) test sees it: it keeps the pilot's skewness and outliers,
 but cannot know worse runs than the pilot had.
 """
@@ -29,6 +32,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri, ndtri, stdtrit
 
 from slamcmp.errors import DataError, UsageError
+from slamcmp.metrics.statistics import FEWEST_RATIOS
 from slamcmp.registry import did_you_mean
 from slamcmp.results.grid import at_point, grid_points, labels
 from slamcmp.results.store import Results
@@ -39,6 +43,8 @@ FEWEST_PAIRS = 5
 SIMULATIONS = 2000
 MOST_SIMULATED = 2000
 """Above it the normal approximation stands alone: resampling is slow there, and the normal limit good."""
+MOST_SPREAD = 1e4
+"""Of the log ratios in units of what shall be seen: it would need 10^9 seeds."""
 PILOT_SHARE = 0.8
 """Of the two-sided interval for the number of seeds that the pilot's own uncertainty leaves."""
 
@@ -55,14 +61,16 @@ class SeedPlan:
     """Seeds of the pilot that both finished."""
     lost: int
     """Seeds of the pilot that one of them did not finish."""
-    mean_difference: float
-    """In the pilot."""
+    ratio: float
+    """In the pilot: geometric mean of the back end over the other."""
     difference: float
-    """That shall be seen, in the metric's unit."""
+    """That shall be seen, in the metric's unit, from the other's geometric mean."""
+    goal: float
+    """The same as a ratio, above 1."""
     correlation: float
-    """Between the two back ends over the seeds."""
+    """Between the two back ends' logarithms over the seeds."""
     paired: int
-    """Seeds needed, normal approximation."""
+    """Seeds needed, normal approximation; the report tells a test from five on."""
     paired_low: int
     paired_high: int
     """Between these with 80 % probability, because the pilot knows its spread only so well."""
@@ -88,15 +96,18 @@ def plan_seeds(
         results: a pilot.
         metric: column of its trials table.
         difference: to be seen, in the metric's unit.
-        relative: ``difference`` is a share of the first back end's mean instead.
+        relative: ``difference`` is a share of the first back end's geometric mean instead.
         power: probability of seeing it.
         alpha: probability of seeing one where there is none, two-sided.
         seed: of the simulation.
 
     Raises:
-        UsageError: no such metric, or the difference is not above 0.
+        UsageError: no such metric, values of it that are not above 0 and so have no ratio, or the
+            difference is not above 0.
         DataError: no comparison has enough pairs.
     """
+    if not 0.0 < difference < math.inf:
+        raise UsageError(f"the difference to be seen is {difference:g}: a number above 0 is needed")
     trials = results.trials
     if metric not in trials.columns or not pd.api.types.is_float_dtype(trials[metric]):
         numeric = [str(name) for name in trials.columns if pd.api.types.is_float_dtype(trials[name])]
@@ -113,13 +124,17 @@ def plan_seeds(
             most = max(most, len(pairs))
             if len(pairs) < FEWEST_PAIRS:
                 continue
-            first, other = (pairs[name].to_numpy(dtype=float) for name in (known[0], label))
-            goal = difference * abs(float(first.mean())) if relative else difference
-            if goal <= 0.0:
-                raise UsageError(f"the difference to be seen is {goal:g}: a number above 0 is needed")
-            spread = float((other - first).std(ddof=1))
-            needed = paired_seeds(spread, goal, power, alpha)
-            low, high = _pilot_range(spread, len(pairs), goal, power, alpha)
+            _require_positive(pairs, metric)
+            first, other = (np.log(pairs[name].to_numpy(dtype=float)) for name in (known[0], label))
+            usual = math.exp(float(first.mean()))
+            share = difference if relative else difference / usual
+            spread, shift = float((other - first).std(ddof=1)), math.log1p(share)
+            if not spread <= MOST_SPREAD * shift:
+                raise UsageError(
+                    f"a difference of {difference:g} cannot be seen: the ratio of {label!r} to {known[0]!r} "
+                    f"varies by a factor of {math.exp(spread):.3g} from seed to seed"
+                )
+            low, high = _pilot_range(spread, len(pairs), shift, power, alpha)
             plans.append(
                 SeedPlan(
                     point,
@@ -127,15 +142,16 @@ def plan_seeds(
                     known[0],
                     len(pairs),
                     rows["trial"].nunique() - len(pairs),
-                    float((other - first).mean()),
-                    goal,
+                    math.exp(float((other - first).mean())),
+                    share * usual,
+                    1.0 + share,
                     _correlation(first, other),
-                    needed,
-                    low,
-                    high,
-                    simulated_paired_seeds(other - first, goal, power, alpha, seed=seed),
-                    unpaired_seeds(float(first.std(ddof=1)), float(other.std(ddof=1)), goal, power, alpha),
-                    simulated_unpaired_seeds(first, other, goal, power, alpha, seed=seed),
+                    max(FEWEST_RATIOS, paired_seeds(spread, shift, power, alpha)),
+                    max(FEWEST_RATIOS, low),
+                    max(FEWEST_RATIOS, high),
+                    max(FEWEST_RATIOS, simulated_paired_seeds(other - first, shift, power, alpha, seed=seed)),
+                    unpaired_seeds(float(first.std(ddof=1)), float(other.std(ddof=1)), shift, power, alpha),
+                    simulated_unpaired_seeds(first, other, shift, power, alpha, seed=seed),
                 )
             )
     if not plans:
@@ -225,6 +241,14 @@ def _pilot_range(spread: float, pairs: int, difference: float, power: float, alp
     tail, dof = (1.0 - PILOT_SHARE) / 2.0, pairs - 1
     lowest, highest = (spread * math.sqrt(dof / float(chdtri(dof, p))) for p in (tail, 1.0 - tail))
     return paired_seeds(lowest, difference, power, alpha), paired_seeds(highest, difference, power, alpha)
+
+
+def _require_positive(pairs: pd.DataFrame, metric: str) -> None:
+    without = int((pairs <= 0.0).any(axis=1).sum())
+    if without:
+        raise UsageError(
+            f"{metric!r} is not above 0 in {without} of {len(pairs)} seeds: back ends are compared by ratios"
+        )
 
 
 def _correlation(first: FloatArray, other: FloatArray) -> float:

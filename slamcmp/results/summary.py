@@ -14,6 +14,8 @@ from slamcmp.metrics.statistics import (
     Interval,
     median_interval,
     paired_interval,
+    ratio_interval,
+    ratio_test,
     sign_test,
     signed_rank_test,
 )
@@ -160,10 +162,12 @@ def summary_columns(results: Results) -> list[SummaryColumn]:
 def paired_table(results: Results) -> pd.DataFrame:
     """ATE of each back end over that of the first one on the same stream, trial by trial.
 
-    One row per grid point, trajectory and back end: pairs, median ratio and median difference with their
-    intervals, pairs in which it was better, and the two-sided p values of the sign test and of Wilcoxon's
-    signed-rank test (on the logarithm of the ratio) where there are enough pairs. The reference itself is
-    left out. Where a back end gates for itself, ``own gates`` says so of both sides.
+    One row per grid point, trajectory and back end: pairs; geometric mean of the ratio with the interval and
+    the two-sided p value of Student's t on its logarithm, which is the test that ``slamcmp seeds`` plans;
+    median ratio and median difference with their distribution-free intervals; pairs in which it was better,
+    and the p values of the sign test and of Wilcoxon's signed-rank test on the same logarithm, which assume
+    less. Tests need five pairs. The reference itself is left out. Where a back end gates for itself,
+    ``own gates`` says so of both sides.
     """
     rows: list[dict[str, Any]] = []
     swept = swept_columns(results.trials)
@@ -178,6 +182,7 @@ def paired_table(results: Results) -> pd.DataFrame:
                 if pairs.empty:
                     continue
                 ratio = pairs[label] / pairs[compared[0]]
+                mean_ratio = ratio_interval(pairs[label], pairs[compared[0]])
                 difference = paired_interval(pairs[label], pairs[compared[0]])
                 better = int((ratio < 1).sum())
                 enough = len(pairs) >= ENOUGH_SEEDS
@@ -189,6 +194,9 @@ def paired_table(results: Results) -> pd.DataFrame:
                         "compared with": compared[0],
                         **({"own gates": _gates(here, label, compared[0])} if gated else {}),
                         "pairs": len(pairs),
+                        "ATE ratio": mean_ratio.estimate,
+                        "95 % of it": interval_text(mean_ratio),
+                        "t test p": ratio_test(pairs[label], pairs[compared[0]]),
                         "median ATE ratio": float(ratio.median()),
                         "95 % of the ratio": interval_text(median_interval(ratio)),
                         "median difference [m]": difference.estimate,

@@ -4,17 +4,15 @@ A value is *inside* where it differs from the published one by at most the metri
 measured value of an ``ensemble_…`` metric is over all ok runs together; of any other metric it is the mean
 over the ok runs.
 
-An order, from best to worst, is judged between neighbours, on the seeds both finished: worse minus better,
-the difference of the published statistic itself (of root mean squares over the runs, of means), with the 95 %
-bootstrap interval that draws whole runs, both back ends' together. A pair is *held* where the interval lies
-above 0, *violated* where it lies below, *not significant* where it contains 0, and *too few runs* below 20.
-The whole order is
+An order, from best to worst, is judged between neighbours, on the seeds both finished: the geometric mean,
+run by run, of worse over better (each run's own root mean square or mean), with the 95 % interval of
+Student's t on the log of the ratios. A pair is *held* where the interval lies above 1, *violated* where it
+lies below, a *tie* where it contains 1, and *too few runs* below 20. The whole order is
 
 * violated, where a pair is, or where ``worst_factor`` is asked for and the last back end's value is less
   than so many times the value of the one before it;
-* held, where every pair is, or, with ``worst_factor``, where the last pair is and no other is violated:
-  the publication's "nearly equal, and the last far worse";
-* not significant (or too few runs) otherwise.
+* held, where every pair is;
+* a tie (or too few runs) otherwise: the runs do not tell some neighbours apart.
 """
 
 from __future__ import annotations
@@ -24,18 +22,16 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from slamcmp.metrics.statistics import Interval, bootstrap_interval
+from slamcmp.metrics.statistics import Interval, ratio_interval
 from slamcmp.results.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
 from slamcmp.results.grid import at_point, grid_points, point_name
 from slamcmp.results.published import Published, PublishedOrder
 from slamcmp.results.store import Results
-from slamcmp.types import FloatArray
 
 FEWEST_PAIRS = 20
-"""Of fewer, the bootstrap interval of a root mean square, which a few runs decide, is far too narrow."""
+"""Of fewer, a few runs that are far off in one direction decide."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +63,10 @@ class PairVerdict:
 
     better: str
     worse: str
-    difference: Interval
-    """Worse minus better, over paired seeds, with its interval."""
+    ratio: Interval
+    """Worse over better, geometric mean over paired seeds, with its interval."""
     verdict: str
-    """``held``, ``not significant``, ``violated`` or ``too few runs``."""
+    """``held``, ``tie``, ``violated`` or ``too few runs``."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +81,14 @@ class OrderVerdict:
     worst_factor: float | None
     """What ``factor`` has to reach."""
     verdict: str
+
+    @property
+    def text(self) -> str:
+        """``batch = EKF < odometry``; ``=`` for a tie, ``>`` for a reversed pair, ``?`` for too few runs."""
+        signs = {"held": "<", "tie": "=", "violated": ">", "too few runs": "?"}
+        return " ".join(
+            [self.pairs[0].better, *(f"{signs[each.verdict]} {each.worse}" for each in self.pairs)]
+        )
 
 
 @dataclass(frozen=True)
@@ -101,9 +105,8 @@ class PublishedVerdict:
         inside = sum(each.verdict == "inside" for each in judged)
         parts = [f"{inside} of {len(judged)} judged values inside tolerance"] if judged else []
         for each in self.orders:
-            labels = " < ".join([each.pairs[0].better, *(pair.worse for pair in each.pairs)])
             place = ", ".join([each.metric, *filter(None, [point_name(each.at)])])
-            parts.append(f"{place}: {labels}: {each.verdict}")
+            parts.append(f"{place}: {each.text}: {each.verdict}")
         return "; ".join(parts)
 
     def as_dict(self) -> dict[str, Any]:
@@ -150,43 +153,30 @@ def _judge_order(order: PublishedOrder, measured: _Measured, point: Mapping[str,
         both = pd.concat(
             [measured.by_run(order.metric, label, point) for label in (worse, better)], axis=1, join="inner"
         )
-        average = ENSEMBLE_METRICS[order.metric].average if order.metric in ENSEMBLE_METRICS else "mean"
-        difference = _difference(*both.to_numpy(float).T, squares=average != "mean")
-        pairs.append(PairVerdict(better, worse, difference, _pair_verdict(difference)))
+        ratio = ratio_interval(*both.to_numpy(float).T)
+        if ratio.runs < FEWEST_PAIRS:
+            ratio = replace(ratio, low=math.nan, high=math.nan)
+        pairs.append(PairVerdict(better, worse, ratio, _pair_verdict(ratio)))
     before, last = (measured.value(order.metric, label, point) for label in order.labels[-2:])
     factor = last / before if before > 0 else math.nan
     verdict = _order_verdict([pair.verdict for pair in pairs], factor, order.worst_factor)
     return OrderVerdict(order.metric, dict(point), tuple(pairs), factor, order.worst_factor, verdict)
 
 
-def _difference(worse: FloatArray, better: FloatArray, *, squares: bool) -> Interval:
-    """Of root mean squares (``squares``) or means over the runs in which both values are finite."""
-    usable = np.isfinite(worse) & np.isfinite(better)
-    pairs = np.stack([worse, better])[:, usable] ** (2 if squares else 1)
-
-    def statistic(runs: FloatArray, axis: int) -> Any:
-        over, under = pairs[:, runs.astype(int)].mean(axis=axis)
-        return np.sqrt(over) - np.sqrt(under) if squares else over - under
-
-    found = bootstrap_interval(np.arange(usable.sum()), statistic)
-    return found if found.runs >= FEWEST_PAIRS else replace(found, low=math.nan, high=math.nan)
-
-
-def _pair_verdict(difference: Interval) -> str:
-    if not math.isfinite(difference.half_width):
+def _pair_verdict(ratio: Interval) -> str:
+    if not math.isfinite(ratio.half_width):
         return "too few runs"
-    if difference.low > 0:
+    if ratio.low > 1.0:
         return "held"
-    return "violated" if difference.high < 0 else "not significant"
+    return "violated" if ratio.high < 1.0 else "tie"
 
 
 def _order_verdict(pairs: list[str], factor: float, worst_factor: float | None) -> str:
     if "violated" in pairs or (worst_factor is not None and factor < worst_factor):
         return "violated"
-    needed = pairs if worst_factor is None else pairs[-1:]
-    if all(each == "held" for each in needed):
+    if all(each == "held" for each in pairs):
         return "held"
-    return "too few runs" if "too few runs" in needed else "not significant"
+    return "too few runs" if "too few runs" in pairs else "tie"
 
 
 class _Measured:

@@ -19,7 +19,7 @@ from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.experiment.plan import plan_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
-from slamcmp.experiment.stop_search import describe_stop, precisions
+from slamcmp.experiment.stop_search import describe_stop, precisions, search_coverage
 from slamcmp.metrics.statistics import median_interval
 from slamcmp.results.store import load_results
 from tests.conftest import PLUGINS
@@ -77,20 +77,46 @@ def test_no_value_at_all_ends_the_search() -> None:
     assert "more seeds would not help" in describe_stop(rule, found, 10)["reason"]
 
 
-def test_stopping_by_width_costs_little_coverage() -> None:
+def simulated_search(batch: int, goal: float, searches: int, sigma: float = 0.5) -> tuple[float, float]:
+    """Coverage and usual length of searches, one by one with the interval itself."""
     rng = np.random.default_rng(11)
     covered, seeds = [], []
-    for _ in range(1500):
-        sample = np.exp(0.5 * rng.normal(size=200))
-        for count in range(10, 201, 10):
+    for _ in range(searches):
+        sample = np.exp(sigma * rng.normal(size=400))
+        for count in range(batch, 401, batch):
             interval = median_interval(sample[:count])
-            if interval.half_width <= 0.15 * interval.estimate:
+            if interval.half_width <= goal * interval.estimate:
                 break
         covered.append(interval.low <= 1.0 <= interval.high)
         seeds.append(count)
-    assert 30 < np.median(seeds) < 90
+    return float(np.mean(covered)), float(np.median(seeds))
+
+
+def test_stopping_by_width_costs_as_much_coverage_as_is_told() -> None:
+    covered, seeds = simulated_search(10, 0.15, 1500)
+    assert 30 < seeds < 90
     # Nominal 0.95; four standard deviations (0.006) below 0.93.
-    assert 0.906 < np.mean(covered) < 0.97
+    assert 0.906 < covered < 0.97
+    assert search_coverage(10, 0.95, round(seeds)) == pytest.approx(covered, abs=0.03)
+    told = describe_stop(StopRule(metric="m", half_width=1.0), [], 70)["coverage"]
+    assert told == search_coverage(10, 0.95, 70)
+    assert search_coverage(2, 0.95, 66) < search_coverage(20, 0.95, 66)
+    assert search_coverage(10, 0.8, 70) < 0.85
+    # Too few for an interval, and a batch that is the whole search.
+    assert search_coverage(2, 0.95, 4) is None
+    assert search_coverage(1000, 0.95, 1000) > 0.93
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("batch", "low", "high"), [(2, 0.92, 0.97), (5, 0.92, 0.97), (20, 0.94, 0.97)])
+@pytest.mark.parametrize("sigma", [0.3, 0.5, 1.0])
+def test_coverage_of_searches_is_what_the_help_says(
+    batch: int, low: float, high: float, sigma: float
+) -> None:
+    for goal in (0.3, 0.5) if sigma == 1.0 else (0.15, 0.2):
+        covered, seeds = simulated_search(batch, goal * sigma / 0.5 if sigma < 1 else goal, 4000, sigma)
+        # Three standard deviations of a share over 4000.
+        assert low - 0.012 < covered < high + 0.012, (goal, seeds)
 
 
 def sweep_of(write: Write, **until: object) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -12,10 +13,15 @@ from scipy import stats
 from slamcmp.errors import UsageError
 from slamcmp.metrics.statistics import (
     EXACT_PAIRS,
+    FEWEST_FOR_MEAN,
+    FEWEST_RATIOS,
+    Interval,
     average_nees,
-    bootstrap_interval,
+    mean_interval,
     median_interval,
     paired_interval,
+    ratio_interval,
+    ratio_test,
     sign_test,
     signed_rank_test,
     wilson_interval,
@@ -56,29 +62,145 @@ def test_median_interval_covers_as_the_binomial_says(runs):
     assert abs(share - expected) < 4 * math.sqrt(expected * (1 - expected) / 4000)
 
 
-def test_bootstrap_interval_agrees_with_scipy():
-    sample = np.random.default_rng(1).exponential(size=40)
-    found = bootstrap_interval(sample, resamples=20_000)
-    theirs = stats.bootstrap((sample,), np.mean, n_resamples=20_000, method="BCa", rng=2)
-    assert found.estimate == sample.mean()
-    # The bounds' own Monte-Carlo deviation is 0.005 at 20 000 resamples.
-    assert found.low == pytest.approx(theirs.confidence_interval.low, abs=0.02)
-    assert found.high == pytest.approx(theirs.confidence_interval.high, abs=0.02)
-    assert found == bootstrap_interval(sample, resamples=20_000)
+def test_mean_interval_inverts_the_cubic_transform():
+    sample = np.random.default_rng(1).exponential(size=FEWEST_FOR_MEAN)
+    found = mean_interval([*sample, math.nan])
+    assert (found.estimate, found.runs) == (pytest.approx(sample.mean()), FEWEST_FOR_MEAN)
+    skewness, n = stats.skew(sample, bias=False), sample.size
+
+    def transform(mean: float) -> float:
+        t = (sample.mean() - mean) / sample.std(ddof=1)
+        return math.sqrt(n) * (t + skewness * t**2 / 3 + skewness**2 * t**3 / 27 + skewness / (6 * n))
+
+    quantile = stats.t.ppf(0.975, n - 1)
+    assert [transform(found.low), transform(found.high)] == pytest.approx([quantile, -quantile], rel=1e-9)
+    # Skewed to the right: more room above.
+    assert found.high - found.estimate > 1.1 * (found.estimate - found.low)
 
 
-def test_bootstrap_interval_covers_the_mean_of_a_skewed_distribution():
+def test_mean_interval_is_students_where_nothing_is_skewed():
+    half = np.random.default_rng(2).normal(size=FEWEST_FOR_MEAN)
+    sample = 3 + np.concatenate([half, -half])
+    theirs = stats.ttest_1samp(sample, 0.0).confidence_interval(0.95)
+    found = mean_interval(sample)
+    assert (found.low, found.high) == pytest.approx((theirs.low, theirs.high), rel=1e-9)
+    assert mean_interval(np.full(60, 2.0)).half_width == 0.0
+
+
+def test_there_is_no_interval_of_a_mean_that_few_runs_decide():
+    found = mean_interval(np.random.default_rng(3).exponential(size=FEWEST_FOR_MEAN - 1))
+    assert math.isnan(found.low)
+    assert found.half_width == math.inf
+    assert found.runs == FEWEST_FOR_MEAN - 1
+    assert math.isnan(mean_interval([]).estimate)
+
+
+def test_ratio_interval_and_its_test_are_students_on_the_logarithm():
     rng = np.random.default_rng(4)
-    found = [bootstrap_interval(rng.exponential(size=30), resamples=1000, seed=i) for i in range(1000)]
-    share = np.mean([each.low <= 1.0 <= each.high for each in found])
-    # Known to fall a little short at 30 skewed values; plus and minus four deviations (0.007) around 0.93.
-    assert 0.90 < share < 0.96
+    reference = rng.exponential(size=12)
+    values = 1.3 * reference * np.exp(0.4 * rng.normal(size=12))
+    theirs = stats.ttest_1samp(np.log(values / reference), 0.0)
+    found = ratio_interval([*values, 0.0, math.nan], [*reference, 1.0, 1.0])
+    bounds = np.exp(theirs.confidence_interval(0.95))
+    assert found.runs == 12
+    assert [found.low, found.high] == pytest.approx(bounds)
+    assert found.estimate == pytest.approx(stats.gmean(values) / stats.gmean(reference))
+    assert ratio_test(values, reference) == pytest.approx(theirs.pvalue, rel=1e-9)
+    # Either way round it is the same comparison.
+    other = ratio_interval(reference, values)
+    assert (other.low, other.high) == pytest.approx((1 / found.high, 1 / found.low))
+    assert ratio_test(reference, values) == pytest.approx(ratio_test(values, reference))
+    assert math.isnan(ratio_interval(values[:4], reference[:4]).low)
+    assert math.isnan(ratio_test(values[:4], reference[:4]))
+    assert ratio_interval([], []).runs == 0
 
 
-def test_bootstrap_interval_of_equal_or_few_values():
-    assert bootstrap_interval([2.0, 2.0, 2.0, 2.0]).half_width == 0.0
-    assert math.isnan(bootstrap_interval([1.0, 2.0]).low)
-    assert bootstrap_interval([]).runs == 0
+def test_the_ratio_is_significant_exactly_where_its_interval_leaves_one_out():
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        values = np.exp(rng.normal(0.3, 0.5, size=8))
+        found = ratio_interval(values, np.ones(8))
+        assert (ratio_test(values, np.ones(8)) < 0.05) == (not found.low <= 1.0 <= found.high)
+    assert ratio_test(np.full(6, 2.0), np.full(6, 2.0)) == 1.0
+    assert ratio_test(np.full(6, 2.0), np.full(6, 1.0)) == 0.0
+
+
+# Errors as runs have them, with their means: from normal to a standard deviation as large as the mean.
+ERRORS = {
+    "normal": (lambda rng, size: rng.normal(5.0, 1.0, size), 5.0),
+    "Rayleigh": (lambda rng, size: rng.rayleigh(1.0, size), math.sqrt(math.pi / 2)),
+    "lognormal": (lambda rng, size: np.exp(0.5 * rng.normal(size=size)), math.exp(0.125)),
+    "gamma": (lambda rng, size: rng.gamma(2.0, 1.0, size), 2.0),
+    "exponential": (lambda rng, size: rng.exponential(1.0, size), 1.0),
+    "one in ten lost": (
+        lambda rng, size: np.exp(0.3 * rng.normal(size=size)) * np.where(rng.random(size) < 0.1, 3.0, 1.0),
+        1.2 * math.exp(0.045),
+    ),
+}
+# Logarithms of ratios, with their means.
+LOG_RATIOS = {
+    "normal": (lambda rng, size: 0.3 * rng.normal(size=size), 0.0),
+    "Laplace": (lambda rng, size: rng.laplace(size=size), 0.0),
+    "Student, 3": (lambda rng, size: rng.standard_t(3, size=size), 0.0),
+    "of two Rayleighs": (
+        lambda rng, size: np.log(rng.rayleigh(1.0, size)) - np.log(rng.rayleigh(1.0, size)),
+        0.0,
+    ),
+    "of a gamma": (lambda rng, size: np.log(rng.gamma(2.0, 1.0, size)), 1.0 - np.euler_gamma),
+    "of an exponential": (lambda rng, size: np.log(rng.exponential(1.0, size)), -np.euler_gamma),
+}
+
+
+def covered(intervals: Iterable[Interval], truth: float) -> float:
+    return float(np.mean([each.low <= truth <= each.high for each in intervals]))
+
+
+def mean_coverage(name: str, runs: int, samples: int) -> float:
+    draw, mean = ERRORS[name]
+    return covered(map(mean_interval, draw(np.random.default_rng(runs), (samples, runs))), mean)
+
+
+def ratio_coverage(name: str, runs: int, samples: int) -> float:
+    draw, mean = LOG_RATIOS[name]
+    ratios, ones = np.exp(draw(np.random.default_rng(runs), (samples, runs))), np.ones(runs)
+    return covered((ratio_interval(each, ones) for each in ratios), math.exp(mean))
+
+
+@pytest.mark.parametrize("name", ["lognormal", "exponential"])
+def test_mean_interval_covers_what_it_says(name):
+    # Four standard deviations of a share of 0.95 over 1500 beyond 0.93 and 0.97.
+    assert 0.907 < mean_coverage(name, FEWEST_FOR_MEAN, 1500) < 0.993
+
+
+@pytest.mark.parametrize(("name", "runs"), [("normal", 5), ("of a gamma", 5), ("of two Rayleighs", 12)])
+def test_ratio_interval_covers_what_it_says(name, runs):
+    assert 0.907 < ratio_coverage(name, runs, 1500) < 0.993
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [FEWEST_FOR_MEAN, 70, 100, 200])
+@pytest.mark.parametrize("name", ERRORS)
+def test_mean_interval_covers_93_to_97_percent(name, runs):
+    # Two standard deviations of a share over 20 000 are 0.003.
+    assert 0.927 < mean_coverage(name, runs, 20_000) < 0.973
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [FEWEST_RATIOS, 6, 8, 12, 20, 50])
+@pytest.mark.parametrize("name", LOG_RATIOS)
+def test_ratio_interval_covers_93_to_97_percent(name, runs):
+    assert 0.927 < ratio_coverage(name, runs, 20_000) < 0.973
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [6, 7, 8, 10, 12, 20, 50])
+def test_median_interval_covers_at_least_what_it_says(runs):
+    """Whatever the distribution; between two ranks there is nothing, so small samples cover more."""
+    for name in ("normal", "exponential", "one in ten lost"):
+        draw, _ = ERRORS[name]
+        rng = np.random.default_rng(runs)
+        median = float(np.median(draw(rng, 4_000_000)))
+        assert covered(map(median_interval, draw(rng, (10_000, runs))), median) > 0.94
 
 
 def test_paired_interval_drops_incomplete_pairs():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,6 +15,7 @@ import pytest
 from scipy import stats
 
 from slamcmp.errors import DataError, UsageError
+from slamcmp.metrics.statistics import ratio_test
 from slamcmp.results.power import (
     paired_seeds,
     plan_seeds,
@@ -22,6 +24,7 @@ from slamcmp.results.power import (
     unpaired_seeds,
 )
 from slamcmp.results.store import Results, save_results
+from slamcmp.results.summary import paired_table
 
 
 def pilot(
@@ -29,8 +32,8 @@ def pilot(
 ) -> Results:
     rng = np.random.default_rng(1)
     world = common * rng.normal(size=seeds)
-    values = {"A": 5 + world + own * rng.normal(size=seeds)}
-    values["B"] = 5 + shift + world + own * rng.normal(size=seeds)
+    values = {"A": np.exp(world + own * rng.normal(size=seeds))}
+    values["B"] = np.exp(shift + world + own * rng.normal(size=seeds))
     rows = [
         {
             "trial": seed,
@@ -38,6 +41,7 @@ def pilot(
             "seed": seed,
             "status": "ok",
             "online_ate": float(values[label][seed]),
+            "reference": "truth",
         }
         for seed in range(seeds)
         for label in ("A", "B")
@@ -57,11 +61,12 @@ def test_closed_forms_agree_with_the_tables(effect, power, paired, unpaired) -> 
 
 
 def test_pairing_is_worth_the_common_spread(tmp_path: Path) -> None:
-    (plan,) = plan_seeds(pilot(tmp_path), "online_ate", 0.25)
+    (plan,) = plan_seeds(pilot(tmp_path), "online_ate", math.exp(0.25) - 1, relative=True)
     assert (plan.back_end, plan.compared_with, plan.pairs, plan.lost) == ("B", "A", 40, 0)
-    table = pilot(tmp_path).trials.pivot(index="seed", columns="label", values="online_ate")
+    table = np.log(pilot(tmp_path).trials.pivot(index="seed", columns="label", values="online_ate"))
     difference = table["B"] - table["A"]
-    assert plan.mean_difference == pytest.approx(difference.mean())
+    assert plan.ratio == pytest.approx(math.exp(difference.mean()))
+    assert plan.goal == pytest.approx(math.exp(0.25))
     z = stats.norm.ppf([0.975, 0.8])
     assert plan.paired == np.ceil((z.sum() * difference.std() / 0.25) ** 2 + z[0] ** 2 / 2)
     gain = (table["A"].var() + table["B"].var()) / difference.var()
@@ -85,6 +90,23 @@ def test_the_planned_seeds_have_the_power() -> None:
     assert 0.775 < seen.mean() < 0.85
 
 
+def test_what_is_planned_is_what_the_report_tests(tmp_path: Path) -> None:
+    """As many new seeds as planned: the report's p value is below 0.05 in four of five experiments."""
+    (plan,) = plan_seeds(pilot(tmp_path, seeds=400), "online_ate", 0.25, relative=True)
+    rng = np.random.default_rng(12)
+    seen = []
+    for _ in range(600):
+        world = rng.normal(size=plan.paired)
+        first = np.exp(world + 0.4 * rng.normal(size=plan.paired))
+        other = 1.25 * np.exp(world + 0.4 * rng.normal(size=plan.paired))
+        seen.append(ratio_test(other, first) < 0.05)
+    # Four standard deviations of a share of 0.8 over 600, and what the pilot's own spread is off.
+    assert 0.73 < np.mean(seen) < 0.88
+    (row,) = paired_table(pilot(tmp_path)).to_dict("records")
+    table = pilot(tmp_path).trials.pivot(index="seed", columns="label", values="online_ate")
+    assert row["t test p"] == pytest.approx(stats.ttest_rel(*np.log(table[["B", "A"]]).to_numpy().T).pvalue)
+
+
 def test_simulation_agrees_with_the_normal_limit_on_a_normal_pilot() -> None:
     rng = np.random.default_rng(3)
     sample = rng.normal(size=3000)
@@ -101,7 +123,10 @@ def test_relative_difference_and_failed_runs(tmp_path: Path) -> None:
     (plan,) = plan_seeds(replace(results, trials=trials), "online_ate", 0.1, relative=True)
     assert (plan.pairs, plan.lost) == (38, 2)
     kept = trials[(trials["label"] == "A") & (trials["trial"] > 1)]["online_ate"]
-    assert plan.difference == pytest.approx(0.1 * kept.mean())
+    assert plan.goal == pytest.approx(1.1)
+    assert plan.difference == pytest.approx(0.1 * stats.gmean(kept))
+    (same,) = plan_seeds(replace(results, trials=trials), "online_ate", plan.difference)
+    assert (same.goal, same.paired) == (pytest.approx(1.1), plan.paired)
 
 
 def test_swept_points_are_planned_apart(tmp_path: Path) -> None:
@@ -118,6 +143,12 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
         plan_seeds(pilot(tmp_path), "online_at", 0.1)
     with pytest.raises(UsageError, match="above 0"):
         plan_seeds(pilot(tmp_path), "online_ate", 0.0)
+    with pytest.raises(UsageError, match="a difference of 1e-12 cannot be seen: the ratio of 'B'"):
+        plan_seeds(pilot(tmp_path), "online_ate", 1e-12)
+    results = pilot(tmp_path)
+    none = replace(results, trials=results.trials.assign(online_ate=results.trials["online_ate"] - 0.5))
+    with pytest.raises(UsageError, match=r"'online_ate' is not above 0 in \d+ of 40 seeds"):
+        plan_seeds(none, "online_ate", 0.1)
     with pytest.raises(DataError, match=r"share 5 finished seeds with 'online_ate' \(at most 4\)"):
         plan_seeds(pilot(tmp_path, seeds=4), "online_ate", 0.1)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import gmean
 from typer.testing import CliRunner
 
 from slamcmp.cli import app
@@ -96,6 +97,7 @@ def published(**fields: Any) -> Published:
 
 
 RUNS = np.tile([1.0, 2.0, 1.5, 1.2, 0.8, 1.1, 1.3, 0.9], 3)
+NEARLY = np.tile([1.05, 1 / 1.05], 12)
 
 
 def test_values_are_inside_up_to_the_tolerance() -> None:
@@ -120,38 +122,65 @@ def test_values_are_inside_up_to_the_tolerance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("worse", "verdict"),
+    ("worse", "verdict", "text"),
     [
-        (RUNS + 0.1, "held"),
-        (RUNS - 0.1, "violated"),
-        (RUNS + 0.1 * np.tile([1, -1], 12), "not significant"),
-        (RUNS[:19] + 0.1, "too few runs"),
+        (RUNS + 0.1, "held", "best < worst"),
+        (RUNS - 0.1, "violated", "best > worst"),
+        (RUNS + 0.1 * np.tile([1, -1], 12), "tie", "best = worst"),
+        (RUNS[:19] + 0.1, "too few runs", "best ? worst"),
     ],
 )
-def test_an_order_of_two(worse: np.ndarray, verdict: str) -> None:
+def test_an_order_of_two(worse: np.ndarray, verdict: str, text: str) -> None:
     trials, frames = tables({"best": list(RUNS), "worst": list(worse)})
     order = [{"metric": "ensemble_position_rmse", "labels": ["best", "worst"]}]
-    found = judge_published(published(order=order), trials, frames).orders[0]
+    judged = judge_published(published(order=order), trials, frames)
+    found = judged.orders[0]
     assert found.verdict == found.pairs[0].verdict == verdict
-    difference = found.pairs[0].difference
-    assert difference.runs == len(worse)
-    best = RUNS[: len(worse)]
-    expected = math.sqrt(np.mean(np.square(worse))) - math.sqrt(np.mean(np.square(best)))
-    assert difference.estimate == pytest.approx(expected)
+    assert judged.sentence() == f"ensemble_position_rmse: {text}: {verdict}"
+    ratio = found.pairs[0].ratio
+    assert ratio.runs == len(worse)
+    assert ratio.estimate == pytest.approx(gmean(worse / RUNS[: len(worse)]))
 
 
-def test_an_order_of_means_takes_the_mean_difference() -> None:
-    trials, frames = tables({"best": list(RUNS), "worst": list(RUNS + 0.25)})
-    order = [{"metric": "online_ate", "labels": ["best", "worst"]}]
-    found = judge_published(published(order=order), trials, frames).orders[0].pairs[0].difference
-    assert [found.estimate, found.low, found.high] == pytest.approx([0.25] * 3)
+def test_an_order_is_judged_on_seeds_that_both_finished() -> None:
+    """Paired by seed, not by place: the worse one's runs stand in another order, and two did not finish."""
+    trials, frames = tables({"best": list(RUNS), "worst": list(1.2 * RUNS)})
+    trials = pd.concat([trials.iloc[:24], trials.iloc[:23:-1]], ignore_index=True)
+    lost = trials["seed"].isin([3, 7]) & (trials["label"] == "worst")
+    trials.loc[lost, ["status", "online_ate"]] = ["diverged", 1e6]
+    for metric in ("ensemble_position_rmse", "online_ate"):
+        order = [{"metric": metric, "labels": ["best", "worst"]}]
+        ratio = judge_published(published(order=order), trials, frames).orders[0].pairs[0].ratio
+        assert ratio.runs == 22
+        assert [ratio.estimate, ratio.low, ratio.high] == pytest.approx([1.2] * 3)
+
+
+@pytest.mark.parametrize(
+    ("middle", "last", "verdict", "text"),
+    [
+        (1.1 * RUNS, 1.2 * RUNS, "held", "best < middle < last"),
+        (RUNS * NEARLY, 1.5 * RUNS, "tie", "best = middle < last"),
+        (1.2 * RUNS, 1.2 * RUNS * NEARLY, "tie", "best < middle = last"),
+        (0.9 * RUNS, 1.2 * RUNS, "violated", "best > middle < last"),
+        (1.2 * RUNS, 1.1 * RUNS, "violated", "best < middle > last"),
+        (1.2 * RUNS[:19], 1.5 * RUNS, "too few runs", "best ? middle ? last"),
+    ],
+)
+def test_an_order_of_three_is_held_only_where_each_pair_is(
+    middle: np.ndarray, last: np.ndarray, verdict: str, text: str
+) -> None:
+    trials, frames = tables({"best": list(RUNS), "middle": list(middle), "last": list(last)})
+    order = [{"metric": "online_ate", "labels": ["best", "middle", "last"]}]
+    found = judge_published(published(order=order), trials, frames).orders[0]
+    assert (found.verdict, found.text) == (verdict, text)
 
 
 @pytest.mark.parametrize(
     ("middle", "last", "verdict"),
     [
-        (RUNS, 2 * RUNS, "held"),  # equal in the middle, the last far worse
-        (RUNS, 1.2 * RUNS, "violated"),  # significantly worse, but not by the factor
+        (1.1 * RUNS, 2 * RUNS, "held"),
+        (RUNS * NEARLY, 2 * RUNS, "tie"),  # the last is far worse, but two are not told apart
+        (1.1 * RUNS, 1.3 * RUNS, "violated"),  # significantly worse, but not by the factor
         (RUNS - 0.05, 2 * RUNS, "violated"),  # a reversed pair before it
     ],
 )
