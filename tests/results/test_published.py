@@ -72,6 +72,20 @@ def test_nees_by_hand_and_nothing_before_frame_ten() -> None:
     assert ensemble_value("ensemble_heading_rmse_deg", frames) == pytest.approx(5.0)
 
 
+def test_a_run_alone_and_a_pose_in_space() -> None:
+    """Of each run NEES is a mean and an error a root mean square; in space NEES is divided by six."""
+    frames = frames_of([[3.0, 4.0], [6.0, 8.0]], online_nees=[6.0, 12.0, 18.0, 60.0])
+    assert run_values("ensemble_nees_pose", frames).tolist() == pytest.approx([3.0, 13.0])
+    assert run_values("ensemble_mean_position_rmse", frames).tolist() == pytest.approx(
+        [math.sqrt(12.5), math.sqrt(50.0)]
+    )
+    space = frames.assign(online_err_5=0.0)
+    assert run_values("ensemble_nees_pose", space).tolist() == pytest.approx([1.5, 6.5])
+    assert ensemble_value("ensemble_nees_pose", space) == pytest.approx(4.0)
+    # Of a rotation in space the table has no covariance.
+    assert math.isnan(ensemble_value("ensemble_nees_heading", space))
+
+
 def test_ensemble_without_runs_or_columns_is_missing() -> None:
     frames = frames_of([[1.0]])
     for name in ENSEMBLE_METRICS:
@@ -122,9 +136,22 @@ def test_values_are_inside_up_to_the_tolerance() -> None:
 
 
 @pytest.mark.parametrize(
+    ("measured", "verdict"), [(1.14, "inside"), (1.16, "outside"), (0.86, "inside"), (0.84, "outside")]
+)
+def test_a_tolerance_is_a_share_of_the_published_value(measured: float, verdict: str) -> None:
+    """Of the mean over the runs, not of their median, which is 0 here."""
+    trials, frames = tables({"A": [0.0, 0.0, 3 * measured]})
+    rows = [{"label": "A", "values": {"online_ate": 1.0}}]
+    judged = judge_published(published(rows=rows, tolerance={"online_ate": 0.15}), trials, frames)
+    (value,) = judged.values
+    assert (value.measured, value.verdict) == (pytest.approx(measured), verdict)
+
+
+@pytest.mark.parametrize(
     ("worse", "verdict", "text"),
     [
         (RUNS + 0.1, "held", "best < worst"),
+        (RUNS[:20] + 0.1, "held", "best < worst"),
         (RUNS - 0.1, "violated", "best > worst"),
         (RUNS + 0.1 * np.tile([1, -1], 12), "tie", "best = worst"),
         (RUNS[:19] + 0.1, "too few runs", "best ? worst"),
