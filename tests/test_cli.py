@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def slamcmp_command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "slamcmp.cli", *arguments]
+    return [sys.executable, "-m", "slamcmp", *arguments]
 
 
 def call(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

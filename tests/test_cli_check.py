@@ -12,7 +12,7 @@ from tests.experiment.test_conformance import example
 
 def call(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "slamcmp.cli", "check", *arguments],
+        [sys.executable, "-m", "slamcmp", "check", *arguments],
         capture_output=True,
         text=True,
         timeout=120,

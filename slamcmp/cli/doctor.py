@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import importlib.util
 import os
 import platform
 import tempfile
@@ -33,6 +34,7 @@ def examine() -> Iterator[Finding]:
         ("libraries", _libraries),
         ("gtsam", _gtsam),
         ("OpenCV", _opencv),
+        ("numba", _numba),
         ("data in the gtsam wheel", _wheel_data),
         ("BLAS threads", _blas_threads),
         ("writing here", _writable),
@@ -73,6 +75,13 @@ def _opencv() -> str:
     cv2 = importlib.import_module("cv2")
     corners = cv2.goodFeaturesToTrack(np.kron(np.eye(4), np.full((8, 8), 255)).astype(np.uint8), 8, 0.1, 2)
     return f"{cv2.__version__} finds {len(corners)} corners on a chequered image"
+
+
+def _numba() -> str:
+    """It is optional; one that is installed and does not load is a fault (it is particular about numpy)."""
+    if importlib.util.find_spec("numba") is None:
+        return "not installed; only ekf_compiled needs it: pip install 'slamcmp[fast]'"
+    return f"{importlib.import_module('numba').__version__}, for ekf_compiled"
 
 
 def _wheel_data() -> str:

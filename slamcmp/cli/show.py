@@ -154,5 +154,5 @@ def _type_text(about: dict[str, Any]) -> str:
     if "enum" in about:
         return "one of " + ", ".join(map(str, about["enum"]))
     bounds = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
-    limits = [f"{sign} {about[key]}" for key, sign in bounds.items() if key in about]
+    limits = [f"{sign} {about[key]:g}" for key, sign in bounds.items() if key in about]
     return " ".join([str(about.get("type", "any")), *limits])

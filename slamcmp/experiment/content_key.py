@@ -2,7 +2,7 @@
 
 A key covers the normalised configuration of one job, the source text of every module that computes it
 (followed through imports, so that changing one back end leaves the others' results valid), the data files
-it reads and the versions of the libraries below.
+it reads and the versions of the libraries that compute.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config.component import Component
 from slamcmp.registry import SESSION, Plugin
-from slamcmp.support.code_version import PACKAGE, code_version, file_digest, versions
+from slamcmp.support.code_version import PACKAGE, code_version, file_digest, other_libraries, versions
 from slamcmp.support.plugin_models import bind_parameters
 
 KEY_LENGTH = 24
@@ -34,7 +34,7 @@ def stream_key(source: Component, front_end: Component, seed: int | None) -> str
             "seed": seed,
             "data": data_digests(source),
             "code": code_version(stream_code(source, front_end)),
-            "versions": versions(),
+            "versions": {**versions(), **other_libraries(stream_code(source, front_end))},
         }
     )
 
@@ -54,7 +54,7 @@ def run_key(
             "limits": [time_limit_s, memory_limit_mb],
             "recording": recording,
             "code": code_version(run_code(back_end)),
-            "versions": versions(),
+            "versions": {**versions(), **other_libraries(run_code(back_end))},
         }
     )
     session = back_end.plugin().traits.get(SESSION)

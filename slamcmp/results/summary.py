@@ -89,7 +89,7 @@ def summary_table(results: Results) -> pd.DataFrame:
                 "ok": len(ok),
                 "failed": ", ".join(failed),
                 "reference": ", ".join(sorted(own["reference"].dropna().astype(str).unique())),
-                **{column.full_header: ok[column.name].median() for column in columns},
+                **{column.full_header: ok[column.name].dropna().median() for column in columns},
             }
         )
     return pd.DataFrame(rows)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.metadata
+import importlib.util
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,6 +19,11 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent
 LIBRARIES = ("numpy", "scipy", "gtsam", "opencv-python-headless")
+REQUIRED = frozenset(
+    {"annotated_types", "cv2", "gtsam", "jinja2", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic"}
+    | {"rich", "ruamel", "scipy", "typer"}
+)
+"""Modules of what slamcmp always needs (pyproject.toml); those that compute are among LIBRARIES."""
 
 
 @cache
@@ -30,6 +36,16 @@ def versions() -> Mapping[str, str]:
         except importlib.metadata.PackageNotFoundError:
             found[name] = "absent"
     return found
+
+
+def other_libraries(files: Iterable[Path]) -> dict[str, str]:
+    """Versions of what ``files`` and ours that they import need beside slamcmp's own requirements.
+
+    numba for ``ekf_compiled``, or whatever a user's file imports; ``absent`` where it is not installed. So a
+    failure for want of a library is not told again once the library is there.
+    """
+    names = {name for path in import_closure(files) for name in _source(path).foreign}
+    return {name: _version(name) for name in sorted(names)}
 
 
 def code_version(files: Iterable[Path]) -> str:
@@ -85,6 +101,8 @@ class _Source:
 
     digest: str
     imported: tuple[Path, ...]
+    foreign: tuple[str, ...]
+    """Top-level modules that belong to other distributions."""
 
 
 def _source(path: Path) -> _Source:
@@ -96,14 +114,29 @@ def _read(path_text: str, _stamp: tuple[int, ...]) -> _Source:
     path = Path(path_text)
     text = path.read_bytes()
     found: set[Path] = set()
+    foreign: set[str] = set()
     for module in _module_names(ast.parse(text), path):
         parts = module.split(".")
         root = PACKAGE.parent if parts[0] == PACKAGE.name else path.parent
-        for length in range(1, len(parts) + 1):
-            stem = root.joinpath(*parts[:length])
-            found.update(file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file())
+        stems = [root.joinpath(*parts[:length]) for length in range(1, len(parts) + 1)]
+        ours = [file for stem in stems for file in (stem.with_suffix(".py"), stem / "__init__.py")]
+        ours = [file for file in ours if file.is_file()]
+        found.update(ours)
+        if not ours and not (stems[0].is_dir() or parts[0] in sys.stdlib_module_names | REQUIRED):
+            foreign.add(parts[0])
     imported = tuple(sorted(file.resolve() for file in found))
-    return _Source(hashlib.sha256(text).hexdigest(), imported)
+    return _Source(hashlib.sha256(text).hexdigest(), imported, tuple(sorted(foreign)))
+
+
+def _version(module: str) -> str:
+    """Of the distribution that brings a top-level module; ``absent`` without it."""
+    try:
+        return importlib.metadata.version(module)
+    except importlib.metadata.PackageNotFoundError:
+        owners = importlib.metadata.packages_distributions().get(module)
+    if owners:
+        return ", ".join(f"{owner} {importlib.metadata.version(owner)}" for owner in sorted(set(owners)))
+    return "absent" if importlib.util.find_spec(module) is None else "without a version"
 
 
 def _module_names(tree: ast.AST, path: Path) -> Iterator[str]:

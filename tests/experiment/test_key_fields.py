@@ -100,6 +100,17 @@ def test_each_library_and_python_count(key: Callable[[], str], monkeypatch: pyte
     assert len(seen) == 1 + len(known)
 
 
+@pytest.mark.parametrize("key", [key_of_stream, key_of_run])
+def test_a_library_that_only_this_code_needs_counts(
+    key: Callable[[], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = {key()}
+    for version in ("absent", "0.68.1"):
+        monkeypatch.setattr(content_key, "other_libraries", lambda files, v=version: {"numba": v})
+        seen.add(key())
+    assert len(seen) == 3
+
+
 def test_versions_are_those_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 

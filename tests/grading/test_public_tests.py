@@ -72,7 +72,7 @@ def test_what_cannot_be_run_says_why(tmp_path: Path) -> None:
 
 def test_as_a_student_calls_it(tmp_path: Path) -> None:
     entry = handed_out(tmp_path, "ekf", (find_assignment("ekf") / "starter.py").read_text())
-    command = [sys.executable, "-m", "slamcmp.cli", "check", str(entry), "--json"]
+    command = [sys.executable, "-m", "slamcmp", "check", str(entry), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1, done.stderr
     assert json.loads(done.stdout)[1] == {

@@ -12,8 +12,9 @@ from typer.testing import CliRunner
 
 from slamcmp.cli import app
 from slamcmp.errors import DataError, MissingDataError, UsageError
+from slamcmp.frontend.vision.degeneracy import Geometry
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
-from slamcmp.report.figures.front_end import draw_front_end, front_end_tables
+from slamcmp.report.figures.front_end import SAYING, draw_front_end, front_end_tables
 from tests.frontend.photographs import FOLDER, photograph
 
 
@@ -71,3 +72,7 @@ def test_errors_name_the_file_or_the_option(tmp_path: Path) -> None:
         _run(photo, FOLDER / "BalbianelloMedium-2.jpg", "--method", "lmeds")
     with pytest.raises(UsageError, match="cells, brown or none"):
         _run(photo, "--suppression", "grid")
+
+
+def test_every_geometry_of_two_views_is_explained() -> None:
+    assert SAYING.keys() == set(Geometry)

@@ -155,7 +155,7 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
 
 def slamcmp(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "slamcmp.cli", *arguments], cwd=cwd, capture_output=True, text=True
+        [sys.executable, "-m", "slamcmp", *arguments], cwd=cwd, capture_output=True, text=True
     )
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 
-from slamcmp.support.code_version import code_version
+import pytest
+
+from slamcmp.support.code_version import PACKAGE, code_version, other_libraries
 
 
 def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> None:
@@ -16,3 +19,31 @@ def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> Non
     assert code_version([tmp_path / "mine.py"]) == first
     (tmp_path / "helper.py").write_text("GATE = 16\n")
     assert code_version([tmp_path / "mine.py"]) != first
+
+
+def test_libraries_of_others_are_known_by_their_version_or_their_absence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    monkeypatch.syspath_prepend(site)
+    mine = tmp_path / "mine.py"
+    mine.write_text("import math, numpy, slamcmp.types\nimport helper\n")
+    (tmp_path / "helper.py").write_text("def solve():\n    from wanted_library.solvers import fast\n")
+    assert other_libraries([mine]) == {"wanted_library": "absent"}
+    # A module that lies on the path without a distribution.
+    (site / "wanted_library.py").touch()
+    importlib.invalidate_caches()
+    assert other_libraries([mine]) == {"wanted_library": "without a version"}
+    # A distribution of another name that brings it, as opencv-python-headless brings cv2.
+    told = site / "wanted_for_python-2.5.dist-info"
+    told.mkdir()
+    (told / "METADATA").write_text("Metadata-Version: 2.1\nName: wanted-for-python\nVersion: 2.5\n")
+    (told / "top_level.txt").write_text("wanted_library\n")
+    assert other_libraries([mine]) == {"wanted_library": "wanted-for-python 2.5"}
+
+
+def test_numba_counts_for_the_compiled_filter_alone() -> None:
+    filters = PACKAGE / "backends" / "filters"
+    assert list(other_libraries([filters / "ekf_compiled.py"])) == ["numba"]
+    assert other_libraries([filters / "ekf_slam.py"]) == {}

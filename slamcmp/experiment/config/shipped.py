@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 from pathlib import Path
 
 from slamcmp.errors import MissingDataError
 from slamcmp.registry import did_you_mean
-
-INSTALLED = "share/slamcmp/experiments/"
-"""Where the wheel puts them below the environment's root (``data-files`` in pyproject.toml)."""
+from slamcmp.support.shipped_files import shipped_folder
 
 
 def shipped_experiments() -> dict[str, Path]:
     """Every shipped experiment by its name: ``quickstart``, ``anchors/p1``, …"""
-    root = Path(__file__).resolve().parents[3]
-    folder = root / "experiments"
-    if (root / "pyproject.toml").is_file():
-        found = {path.relative_to(folder): path for path in folder.rglob("*.yaml")}
-    else:
-        found = {}
-        for file in importlib.metadata.files("slamcmp") or []:
-            _, inside, relative = file.as_posix().partition(INSTALLED)
-            if inside and relative.endswith(".yaml"):
-                found[Path(relative)] = Path(str(file.locate())).resolve()
+    folder = shipped_folder()
+    found = sorted(path.relative_to(folder) for path in folder.rglob("*.yaml"))
     return {
-        path.with_suffix("").as_posix(): found[path]
-        for path in sorted(found)
-        if path.parts[0] != "assignments"
+        path.with_suffix("").as_posix(): folder / path for path in found if path.parts[0] != "assignments"
     }
 
 

@@ -11,7 +11,6 @@ import functools
 import hashlib
 import json
 import sys
-import sysconfig
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +25,10 @@ from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.registry import Plugin, did_you_mean, test_kinds
 from slamcmp.support.config_errors import ConfigErrors
 from slamcmp.support.plugin_models import bind_parameters, parameter_model
+from slamcmp.support.shipped_files import shipped_folder
 from slamcmp.support.yaml_source import KeyPath, YamlSource, load_yaml
 
-_CHECKOUT = Path(__file__).resolve().parents[3] / "experiments" / "assignments"
-_INSTALLED = Path(sysconfig.get_path("data"), "share", "slamcmp", "experiments", "assignments")
-SHIPPED = _CHECKOUT if _CHECKOUT.is_dir() else _INSTALLED
+SHIPPED = shipped_folder() / "assignments"
 
 
 class LimitFields(BaseModel):

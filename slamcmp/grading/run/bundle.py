@@ -17,6 +17,7 @@ import slamcmp
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.grading.hand_in.hand_in import Collector
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.shipped_files import shipped_folder
 
 PACKAGE = Path(slamcmp.__file__).parent
 FILES = Path(__file__).parent / "bundle_files"
@@ -95,7 +96,11 @@ def _metadata() -> tuple[str, str]:
 
 
 def _files(folder: Path) -> Iterator[Path]:
+    # An installation holds all shipped assignments inside the package; this bundle is for one.
+    others = shipped_folder() if folder == PACKAGE else None
     for path in sorted(folder.rglob("*")):
+        if others is not None and path.is_relative_to(others):
+            continue
         if path.is_file() and not Collector.is_junk(path.relative_to(folder).as_posix()):
             yield path
 

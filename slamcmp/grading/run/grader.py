@@ -16,6 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
+import slamcmp
 from slamcmp.errors import SlamcmpError
 from slamcmp.grading.assignment.description import (
     Assignment,
@@ -329,7 +330,8 @@ class Grading:
             seconds=0.0,
             versions={
                 "python": platform.python_version(),
-                **{name: importlib.metadata.version(name) for name in ("slamcmp", "numpy", "scipy")},
+                "slamcmp": slamcmp.__version__,
+                **{name: importlib.metadata.version(name) for name in ("numpy", "scipy")},
             },
         )
 

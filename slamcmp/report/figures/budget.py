@@ -77,12 +77,15 @@ def _draw_budget(axes: Axes, results: Results, table: pd.DataFrame) -> set[str]:
         axes.plot(own["ms"], own["error_m"], marker, color=colour, alpha=0.3, markersize=3.5, mew=0)
         points = own.groupby(swept_columns(own) or "label", sort=False, dropna=False)
         quartiles = points[["ms", "error_m"]].quantile(np.array([0.25, 0.5, 0.75]))
-        low, middle, high = (quartiles.xs(share, level=-1) for share in (0.25, 0.5, 0.75))
+        # As arrays: matplotlib's errorbar takes no Series of one value from pandas 2 without a warning.
+        low, middle, high = (
+            quartiles.xs(share, level=-1).to_numpy(dtype=float) for share in (0.25, 0.5, 0.75)
+        )
         axes.errorbar(
-            middle["ms"],
-            middle["error_m"],
-            xerr=[middle["ms"] - low["ms"], high["ms"] - middle["ms"]],
-            yerr=[middle["error_m"] - low["error_m"], high["error_m"] - middle["error_m"]],
+            middle[:, 0],
+            middle[:, 1],
+            xerr=[middle[:, 0] - low[:, 0], high[:, 0] - middle[:, 0]],
+            yerr=[middle[:, 1] - low[:, 1], high[:, 1] - middle[:, 1]],
             color=colour,
             marker=marker,
             markersize=5.0 + 2.0 * style.widths(results)[str(label)],
@@ -91,5 +94,5 @@ def _draw_budget(axes: Axes, results: Results, table: pd.DataFrame) -> set[str]:
             linestyle="",
         )
         if len(middle) <= 12:
-            axes.plot(middle["ms"], middle["error_m"], color=colour, alpha=0.45, linewidth=0.8)
+            axes.plot(middle[:, 0], middle[:, 1], color=colour, alpha=0.45, linewidth=0.8)
     return {str(label) for label in table["label"]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -13,9 +14,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slamcmp.frontend.vision.degeneracy import Geometry
-from slamcmp.frontend.vision.image_pair import Features, PairMatches
 from slamcmp.report.figures.style import RC, legend_below, line_key, new_figure
+
+if TYPE_CHECKING:
+    # It loads OpenCV, which no other figure needs.
+    from slamcmp.frontend.vision.image_pair import Features, PairMatches
 
 Image = NDArray[np.uint8]
 
@@ -24,16 +27,17 @@ CORNER = "#E69F00"
 KEPT, REJECTED = "#56B4E9", "#D55E00"
 _GAP_PX = 12
 _PANEL_INCH = 5.2
-_SAYING = {
-    Geometry.EPIPOLAR: "one epipolar geometry",
-    Geometry.PLANAR_SCENE: "a plane: epipolar geometry open, matches judged by a homography",
-    Geometry.PURE_ROTATION: "a camera that only turned: matches judged by the rotation's homography",
-    Geometry.PLANE_OR_ROTATION: "a plane or a pure rotation: matches judged by a homography",
-    Geometry.NO_MOTION: "no motion between the images",
-    Geometry.COLLINEAR: "points on one line: nothing can be judged",
-    Geometry.TOO_FEW: "too few matches that agree: nothing can be judged",
-    Geometry.NOT_FINITE: "matches that are not finite: nothing can be judged",
+SAYING = {
+    "epipolar": "one epipolar geometry",
+    "planar_scene": "a plane: epipolar geometry open, matches judged by a homography",
+    "pure_rotation": "a camera that only turned: matches judged by the rotation's homography",
+    "plane_or_rotation": "a plane or a pure rotation: matches judged by a homography",
+    "no_motion": "no motion between the images",
+    "collinear": "points on one line: nothing can be judged",
+    "too_few": "too few matches that agree: nothing can be judged",
+    "not_finite": "matches that are not finite: nothing can be judged",
 }
+"""For each of ``frontend.vision.degeneracy.Geometry``."""
 
 
 def draw_front_end(
@@ -147,7 +151,7 @@ def _match_figure(names: Sequence[str], images: Sequence[Image], pairs: Sequence
 
 
 def _summary(pair: PairMatches) -> str:
-    counts, said = pair.counts, _SAYING[pair.verification.geometry]
+    counts, said = pair.counts, SAYING[pair.verification.geometry]
     if not counts["kept"]:
         return f"{counts['matches']} matches, none kept\n{said.capitalize()}"
     return (

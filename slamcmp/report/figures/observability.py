@@ -70,17 +70,19 @@ def observability_table(results: Results) -> pd.DataFrame:
         own = trials[trials["label"] == label]
         if not has_values(own, [NULLITY]):
             continue
-        found, turn = sorted(own[NULLITY].dropna().astype(int).unique()), float(own[TURN].median())
+        found, turn = sorted(own[NULLITY].dropna().astype(int).unique()), float(own[TURN].dropna().median())
         rows.append(
             {
                 "back end": label,
                 "nullity at the end": " or ".join(str(value) for value in found),
                 "spurious information on turns [1/rad²]": turn,
                 "as a compass of σ [deg]": math.degrees(turn**-0.5) if turn > ROUNDING else math.nan,
-                "on shifts [1/m²]": float(own[SHIFT].median()),
-                "Jacobian drift [m]": float(own["linearisation_drift"].median()),
-                **({"KL from batch [nat]": float(own[f"{KL}_median"].median())} if KL in own else {}),
-                "online pose NEES": float(own["online_pose_nees"].median()),
+                "on shifts [1/m²]": float(own[SHIFT].dropna().median()),
+                "Jacobian drift [m]": float(own["linearisation_drift"].dropna().median()),
+                **(
+                    {"KL from batch [nat]": float(own[f"{KL}_median"].dropna().median())} if KL in own else {}
+                ),
+                "online pose NEES": float(own["online_pose_nees"].dropna().median()),
                 "runs": len(own),
             }
         )

@@ -116,10 +116,11 @@ def _draw_metric(axes: Axes, results: Results, rows: pd.DataFrame, path: str, me
             table = table.loc[[value for value in positions if value in table.index]]
             x = _side_by_side(positions, labels(results).index(label) - (len(labels(results)) - 1) / 2)
             colour, marker = style.colours(results)[label], style.markers(results)[label]
+            low_quartile, middle, high_quartile = table[[0.25, 0.5, 0.75]].to_numpy(dtype=float).T
             axes.errorbar(
                 [x[value] for value in table.index],
-                table[0.5],
-                yerr=[table[0.5] - table[0.25], table[0.75] - table[0.5]],
+                middle,
+                yerr=[middle - low_quartile, high_quartile - middle],
                 color=colour,
                 linestyle="-" if metric == "ms" else line,
                 linewidth=1.1,

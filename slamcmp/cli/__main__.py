@@ -1,5 +1,0 @@
-"""``python -m slamcmp.cli``."""
-
-from slamcmp.cli import main
-
-main()
