@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -68,10 +69,9 @@ def test_the_typical_trial_is_one_that_all_finished() -> None:
     assert typical_trial(results_of(runs("A", [4.0, 3.0, 2.0, 1.0]))) == 2
     rows = runs("A", [1.0, 2.0, 5.0], failed=(0,)) + runs("B", [9.0, 8.0, 7.0], failed=(1, 2))
     assert typical_trial(results_of(rows)) == 2
+    nothing = replace(results_of(rows), trials=results_of(rows).trials[:0])
     with pytest.raises(NotDrawable, match="no trial"):
-        typical_trial(
-            results_of(rows).__class__(**{**vars(results_of(rows)), "trials": results_of(rows).trials[:0]})
-        )
+        typical_trial(nothing)
 
 
 def test_names() -> None:

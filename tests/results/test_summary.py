@@ -48,7 +48,7 @@ def test_a_mean_has_an_interval_from_fifty_runs_on() -> None:
 
 
 def test_the_last_frames_nees_is_that_of_its_trajectory() -> None:
-    """Online 2, 4 and (diverged) 60 at the last frame, with hindsight 1, 2 and 30; first frames 100 times it."""
+    """Online 2, 4 and (diverged) 60 at the last frame, with hindsight half of it; before, far more."""
     last = {0: 2.0, 1: 4.0, 2: 60.0}
     frames = pd.DataFrame(
         [
@@ -70,7 +70,7 @@ def test_the_last_frames_nees_is_that_of_its_trajectory() -> None:
 
 
 def test_pairs_are_seeds_that_both_finished_at_one_grid_point() -> None:
-    """B is 1.5 times A with a little noise at noise 1, half of A at noise 2; a failed run spoils its pair only."""
+    """B is about 1.5 times A at noise 1 and half of A at noise 2; a failed run spoils its pair only."""
     wobble = np.array([1.0, 1.1, 0.9, 1.05, 0.95, 1.02, 1.0, 1.0])
     rows = runs("A", ERRORS, **{NOISE: 1.0}) + runs(
         "B", (1.5 * wobble * ERRORS).tolist(), (7,), **{NOISE: 1.0}
