@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from slamcmp.errors import SlamcmpError
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.metrics.divergence import explain, find_suspect, first_departure
-from slamcmp.types import GroundTruth, MeasurementStream, Run
+from slamcmp.types import GroundTruth, IntArray, MeasurementStream, Run
 
 FINDINGS: dict[str, Any] = {
     "departure_test": "",
@@ -26,8 +27,11 @@ landmark behind it, how far off its observation was, and all that in a sentence.
 class Inspector:
     """Looks at the runs of one trial; the stream is only read where a run needs an explanation."""
 
-    def __init__(self, stream_file: Path, truth: GroundTruth | None, borrowed: bool) -> None:
+    def __init__(
+        self, stream_file: Path, truth: GroundTruth | None, borrowed: bool, own_ids: IntArray | None = None
+    ) -> None:
         self._stream_file, self._truth, self._borrowed = stream_file, truth, borrowed
+        self._own_ids = own_ids
 
     def findings(self, run: Run) -> dict[str, Any]:
         """The columns :data:`FINDINGS` of one run."""
@@ -39,6 +43,8 @@ class Inspector:
             last = run.online.t.size if departure is None else departure.k
             # What another back end says is no ground to call a measurement wrong.
             suspect = find_suspect(self._stream, run, None if self._borrowed else self._truth, last)
+            if suspect is not None and self._own_ids is not None:
+                suspect = replace(suspect, landmark=int(self._own_ids[suspect.landmark]))
         found = {**FINDINGS, "diagnosis": explain(run, departure, suspect)}
         if departure is not None:
             found |= {"departure_test": departure.test, "departure_frame": float(departure.k)}

@@ -103,7 +103,7 @@ def run_experiment(
             "jobs_reused": rounds.plan.reused,
             "jobs_missing": rounds.missing,
             "seeds": rounds.seeds(),
-            **_about_streams(rounds.plan.trials, folder),
+            **_about_streams(rounds.plan.trials, folder, experiment.reference),
             **({} if rounds.search is None else {"until": rounds.search}),
         }
         results = Results(folder, manifest, *tables)
@@ -182,23 +182,30 @@ class _Rounds:
         return list(dict.fromkeys(trial.seed for trial in self.plan.trials if trial.seed is not None))
 
 
-def _about_streams(trials: Sequence[Trial], folder: Path) -> dict[str, Any]:
+def _about_streams(trials: Sequence[Trial], folder: Path, reference: str | None) -> dict[str, Any]:
     """What the front end let through, over all trials, and what a reader must know about the streams."""
     totals: dict[str, int] = {}
     warnings: dict[str, None] = {}
-    streams = empty = 0
+    streams = empty = without_truth = 0
     for key in dict.fromkeys(trial.stream.key for trial in trials):
         known = load_truth(truth_path(folder, key))
         if known is None:
             continue
         streams += 1
         warnings |= dict.fromkeys(known.warnings)
-        empty += known.front_end.get("kept") == 0
+        empty += known.front_end.get("kept") == 0 and not known.front_end.get("loop closures")
+        without_truth += known.error is None and known.truth is None
         for name, count in known.front_end.items():
             totals[name] = totals.get(name, 0) + count
     if empty:
         warnings[
             f"the front end kept no detection in {empty} of {streams} streams: there, every back end had "
             "nothing but odometry"
+        ] = None
+    if without_truth and reference is None:
+        warnings[
+            f"no truth in {without_truth} of {streams} streams, and so no errors: set reference to the "
+            "label of a "
+            "smoother, whose final solution then takes its place"
         ] = None
     return {"front_end_totals": totals, "warnings": list(warnings)}

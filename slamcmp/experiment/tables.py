@@ -61,7 +61,7 @@ def gather(
         borrowed = truth is not None and known.truth is None
         record = trial.runs[0].record
         recorded = {} if record is None else {"record": record.describe()}
-        inspector = Inspector(stream_path(folder, known.digest), truth, borrowed)
+        inspector = Inspector(stream_path(folder, known.digest), truth, borrowed, known.own_ids)
         for choice, run in stored:
             keys = _keys(trial, choice, known.digest, kinds)
             scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
@@ -76,6 +76,8 @@ def gather(
             )
             of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
             of_landmarks = landmark_table(run.run, truth, reference=borrowed)
+            if known.own_ids is not None:
+                of_landmarks["id"] = known.own_ids[of_landmarks["id"].to_numpy()]
             for tables, table in ((frames, of_frames), (landmarks, of_landmarks)):
                 for position, (key, value) in enumerate(keys.items()):
                     table.insert(position, key, value)

@@ -2,7 +2,8 @@
 
 ATE and RPE over a frame follow Sturm et al. 2012, "A benchmark for the evaluation of RGB-D SLAM systems", eq.
 1-4; RPE per metre follows Geiger et al. 2012 (see :func:`segment_errors`). A run that ended early is
-scored on its finished frames; ``completion`` tells how many those are.
+scored on its finished frames; ``completion`` tells how many those are. A truth with gaps scores the frames it
+knows, and motion between two of them with no gap in between; ``truth_share`` tells how many those are.
 """
 
 from __future__ import annotations
@@ -15,7 +16,13 @@ import numpy as np
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse, rotation, translation
 from slamcmp.metrics.alignment import Alignment, align_first_pose, align_points
-from slamcmp.metrics.matching import heading_errors, matched_landmarks, matched_poses, rotation_angle
+from slamcmp.metrics.matching import (
+    heading_errors,
+    known_poses,
+    matched_landmarks,
+    matched_poses,
+    rotation_angle,
+)
 from slamcmp.registry import metrics
 from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
@@ -38,8 +45,11 @@ def ate_aligned(trajectory: Trajectory, truth: GroundTruth) -> float:
 
 @metrics.register("ate_first_pose", unit="m", header="ATE, first pose aligned", **_TRAJECTORY)
 def ate_first_pose(trajectory: Trajectory, truth: GroundTruth) -> float:
-    """Root-mean-square position error after making the first poses coincide."""
-    alignment = align_first_pose(*matched_poses(trajectory, truth))
+    """Root-mean-square position error after making the first poses coincide whose truth is known."""
+    estimated, true, _ = known_poses(trajectory, truth)
+    if not len(true):
+        return math.nan
+    alignment = align_first_pose(estimated, true)
     return _rms(position_errors(trajectory, truth, alignment))
 
 
@@ -86,13 +96,13 @@ def heading_rmse_deg(trajectory: Trajectory, truth: GroundTruth) -> float:
 @metrics.register("max_error", unit="m", header="largest error", **_TRAJECTORY)
 def max_error(trajectory: Trajectory, truth: GroundTruth) -> float:
     """Largest position error of any frame, not aligned."""
-    errors = position_errors(trajectory, truth)
+    errors = _of_known(position_errors(trajectory, truth))
     return float(errors.max()) if errors.size else math.nan
 
 
 @metrics.register("last_pose_error", unit="m", header="error of last pose", **_TRAJECTORY)
 def last_pose_error(trajectory: Trajectory, truth: GroundTruth) -> float:
-    """Position error at the log's last frame, not aligned; not available where the run ended early."""
+    """Position error at the log's last frame, not aligned; not available where run or truth ended early."""
     errors = position_errors(trajectory, truth)
     return float(errors[-1]) if 0 < errors.size == truth.t.size else math.nan
 
@@ -110,10 +120,24 @@ def landmark_rmse_aligned(run: Run, truth: GroundTruth) -> float:
     return math.nan if alignment is None else _rms(landmark_errors(run, truth, alignment))
 
 
+@metrics.register(
+    "truth_share",
+    unit="1",
+    header="share with truth",
+    needs=frozenset({"truth"}),
+    scope="run",
+    lower_is_better=None,
+)
+def truth_share(run: Run, truth: GroundTruth) -> float:
+    """Share of the finished frames whose true pose is known: all scores are of these."""
+    known = truth.known()[: run.online.t.size]
+    return float(known.mean()) if known.size else math.nan
+
+
 def position_errors(
     trajectory: Trajectory, truth: GroundTruth, alignment: Alignment | None = None
 ) -> FloatArray:
-    """Distances [m] between estimated and true positions, (K,)."""
+    """Distances [m] between estimated and true positions, (K,); NaN where the truth has a gap."""
     estimated, true = matched_poses(trajectory, truth)
     positions = translation(estimated) if alignment is None else alignment.points(translation(estimated))
     distances: FloatArray = np.linalg.norm(positions - translation(true), axis=-1)
@@ -134,7 +158,7 @@ def landmark_errors(run: Run, truth: GroundTruth, alignment: Alignment | None = 
 
 def trajectory_alignment(trajectory: Trajectory, truth: GroundTruth) -> Alignment | None:
     """The rigid alignment of the positions, or None where they do not determine one."""
-    estimated, true = matched_poses(trajectory, truth)
+    estimated, true, _ = known_poses(trajectory, truth)
     if len(true) < 2:
         return None
     try:
@@ -155,8 +179,11 @@ def segment_errors(
     driven, not the nominal one, so that the distance between frames does not matter; every frame starts
     segments, not every tenth. No segment fits: empty.
     """
-    estimated, true = matched_poses(trajectory, truth)
-    steps = np.linalg.norm(np.diff(translation(truth.T_world_body), axis=0), axis=-1)
+    estimated, true, rows = known_poses(trajectory, truth)
+    whole = translation(truth.T_world_body[truth.known()])
+    if not len(whole):
+        return truth.T_world_body[:0], np.empty(0)
+    steps = np.linalg.norm(np.diff(whole, axis=0), axis=-1)
     path = np.concatenate([[0.0], np.cumsum(steps)])
     lengths = path[-1] * np.arange(1, 9) / 10.0 if lengths_m is None else np.asarray(lengths_m, dtype=float)
     path = path[: len(true)]
@@ -166,16 +193,27 @@ def segment_errors(
     ends = np.searchsorted(path, goals)
     fits = (ends < len(true)) & (ends > starts)
     starts, ends = starts[fits], ends[fits]
+    # How far the robot went in a gap is not known.
+    closed = rows[ends] - rows[starts] == ends - starts
+    starts, ends = starts[closed], ends[closed]
     moved, moved_true = (inverse(poses[starts]) @ poses[ends] for poses in (estimated, true))
     return inverse(moved_true) @ moved, path[ends] - path[starts]
 
 
 def _relative_errors(trajectory: Trajectory, truth: GroundTruth, delta_frames: int) -> FloatArray:
     estimated, true = matched_poses(trajectory, truth)
-    moved = inverse(estimated[:-delta_frames]) @ estimated[delta_frames:]
-    moved_true = inverse(true[:-delta_frames]) @ true[delta_frames:]
+    known = truth.known()[: len(true)]
+    starts = np.flatnonzero(known[:-delta_frames] & known[delta_frames:])
+    moved = inverse(estimated[starts]) @ estimated[starts + delta_frames]
+    moved_true = inverse(true[starts]) @ true[starts + delta_frames]
     return inverse(moved_true) @ moved
 
 
+def _of_known(errors: FloatArray) -> FloatArray:
+    """Those of frames whose truth is known."""
+    return errors[~np.isnan(errors)]
+
+
 def _rms(errors: FloatArray) -> float:
+    errors = _of_known(errors)
     return math.sqrt(float(np.mean(errors**2))) if errors.size else math.nan

@@ -2,7 +2,9 @@
 
 NEES is e^T P^-1 e (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4.2) with e = log(T_hat^-1 T_true) and P both
 in the body tangent, never after an alignment; its expectation is the dimension of e. A frame whose P is
-singular (a start known exactly) has no NEES: it is skipped and ``nees_skipped_frames`` counts it.
+singular (a start known exactly) has no NEES: it is skipped and ``nees_skipped_frames`` counts it. Where
+the truth carries a covariance of its own (a tracking system's, a surveyor's), P is the sum of the two, for
+an estimate that did not use it; a frame without truth has no NEES either.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from scipy.special import chdtri
 
 from slamcmp.geometry import local
 from slamcmp.metrics.matching import (
+    known_poses,
     matched_landmarks,
     matched_poses,
     pose_errors,
@@ -82,8 +85,8 @@ def nees_inside_95(trajectory: Trajectory, truth: GroundTruth) -> float:
 
 @metrics.register("nees_skipped_frames", header="frames without NEES", **_NEES)
 def nees_skipped_frames(trajectory: Trajectory, truth: GroundTruth) -> float:
-    """Number of frames that NEES skips because their covariance is singular or not finite."""
-    return float(np.isnan(nees_series(trajectory, truth)).sum())
+    """Number of frames with truth that NEES skips because their covariance is singular or not finite."""
+    return float(np.isnan(nees_series(trajectory, truth)[known_poses(trajectory, truth)[2]]).sum())
 
 
 @metrics.register(
@@ -115,6 +118,8 @@ def joint_nees_per_dof(run: Run, truth: GroundTruth) -> float:
     """
     if run.joint_covariance is None or run.landmarks is None or run.online.t.size != truth.t.size:
         return math.nan
+    if not truth.known()[-1]:
+        return math.nan
     estimated, true = matched_poses(run.online, truth)
     xi = local(estimated[-1], true[-1])
     in_map, in_truth = matched_landmarks(run.landmarks, truth)
@@ -124,7 +129,10 @@ def joint_nees_per_dof(run: Run, truth: GroundTruth) -> float:
     rows = np.concatenate(
         [np.arange(xi.size), (xi.size + n * in_map[:, None] + np.arange(n)).ravel()],
     )
-    value = float(quadratic_forms(error, run.joint_covariance[np.ix_(rows, rows)]))
+    joint = run.joint_covariance[np.ix_(rows, rows)]
+    if truth.P is not None:
+        joint[: xi.size, : xi.size] += truth.P[-1]
+    value = float(quadratic_forms(error, joint))
     return value / error.size
 
 
@@ -153,7 +161,8 @@ def nees_series(trajectory: Trajectory, truth: GroundTruth, part: str = "pose") 
         return np.full(len(errors), math.nan)
     p = errors.shape[1]
     block = {"pose": slice(0, p), "position": translation_part(p), "heading": rotation_part(p)}[part]
-    return quadratic_forms(errors[:, block], trajectory.P[:, block, block])
+    P = trajectory.P if truth.P is None else trajectory.P + truth.P[: len(errors)]
+    return quadratic_forms(errors[:, block], P[:, block, block])
 
 
 def landmark_nees_values(run: Run, truth: GroundTruth) -> FloatArray:

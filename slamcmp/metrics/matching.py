@@ -10,7 +10,7 @@ from slamcmp.types import FloatArray, GroundTruth, IntArray, Landmarks, Trajecto
 
 
 def matched_poses(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArray, FloatArray]:
-    """Estimated and true poses of the finished frames, both (K, n+1, n+1).
+    """Estimated and true poses of the finished frames, both (K, n+1, n+1); NaN where the truth has a gap.
 
     A trajectory that ended early is paired with the truth's first frames.
 
@@ -31,10 +31,23 @@ def matched_poses(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArra
     return trajectory.T_world_body, truth.T_world_body[:frames]
 
 
-def pose_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
-    """``log(T_hat⁻¹ T_true)`` in the body tangent, (K, p)."""
+def known_poses(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Estimated and true poses (M, n+1, n+1) of the finished frames with known truth, and which those are.
+
+    Raises:
+        DataError: see :func:`matched_poses`.
+    """
     estimated, true = matched_poses(trajectory, truth)
-    return local(estimated, true)
+    rows = np.flatnonzero(truth.known()[: len(true)])
+    return estimated[rows], true[rows], rows
+
+
+def pose_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
+    """``log(T_hat⁻¹ T_true)`` in the body tangent, (K, p); NaN where the truth is not known."""
+    estimated, true, rows = known_poses(trajectory, truth)
+    errors = np.full((trajectory.t.size, pose_dimension(truth.T_world_body)), np.nan)
+    errors[rows] = local(estimated, true)
+    return errors
 
 
 def pose_dimension(T: FloatArray) -> int:
@@ -52,15 +65,21 @@ def rotation_angle(R: FloatArray) -> FloatArray:
 
 
 def heading_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
-    """Angle [rad] between estimated and true orientation, (K,); in SE(3) of the whole rotation."""
-    estimated, true = matched_poses(trajectory, truth)
-    return rotation_angle(np.swapaxes(rotation(estimated), -1, -2) @ rotation(true))
+    """Angle [rad] between estimated and true orientation, (K,), NaN where that is not known.
+
+    In SE(3) of the whole rotation.
+    """
+    estimated, true, rows = known_poses(trajectory, truth)
+    errors = np.full(trajectory.t.size, np.nan)
+    errors[rows] = rotation_angle(np.swapaxes(rotation(estimated), -1, -2) @ rotation(true))
+    return errors
 
 
 def matched_landmarks(landmarks: Landmarks, truth: GroundTruth) -> tuple[IntArray, IntArray]:
     """Indices into the map and into the truth of the landmarks that both hold, each (M,)."""
     _, in_map, in_truth = np.intersect1d(landmarks.ids, truth.ids, assume_unique=True, return_indices=True)
-    return in_map, in_truth
+    known = np.isfinite(truth.positions[in_truth]).all(axis=1)
+    return in_map[known], in_truth[known]
 
 
 def translation_part(p: int) -> slice:

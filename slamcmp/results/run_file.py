@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from slamcmp.support.atomic import write_atomically
-from slamcmp.types import BoolArray, GroundTruth, Landmarks, Run, Trajectory
+from slamcmp.types import BoolArray, GroundTruth, IntArray, Landmarks, Run, Trajectory
 
 RUN_FORMAT = "slamcmp-run-1"
 TRUTH_FORMAT = "slamcmp-truth-1"
@@ -56,6 +56,8 @@ class StoredTruth:
     """Type and message, where the stream could not be made."""
     warnings: tuple[str, ...] = ()
     """Of the log."""
+    own_ids: IntArray | None = None
+    """The recording's own names of the landmarks 0 … L - 1, where they have others."""
 
 
 def save_run(stored: StoredRun, path: Path) -> None:
@@ -115,6 +117,10 @@ def save_truth(stored: StoredTruth, path: Path) -> None:
         arrays = {"t": truth.t, "T": truth.T_world_body, "ids": truth.ids, "positions": truth.positions}
         if truth.outliers is not None:
             arrays |= _joined("outliers", truth.outliers)
+        if truth.P is not None:
+            arrays["P"] = truth.P
+    if stored.own_ids is not None:
+        arrays["own_ids"] = stored.own_ids
     _save(path, header, arrays)
 
 
@@ -148,10 +154,14 @@ def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stor
     truth = None
     if "t" in arrays:
         outliers = _masks("outliers", arrays)
-        truth = GroundTruth(arrays["t"], arrays["T"], arrays["ids"], arrays["positions"], outliers)
+        truth = GroundTruth(
+            arrays["t"], arrays["T"], arrays["ids"], arrays["positions"], outliers, arrays.get("P")
+        )
     error = tuple(header["error"]) if header["error"] else None
     warnings = tuple(header["warnings"])
-    return StoredTruth(header["digest"], header["frames"], truth, header["front_end"], error, warnings)
+    return StoredTruth(
+        header["digest"], header["frames"], truth, header["front_end"], error, warnings, arrays.get("own_ids")
+    )
 
 
 def _trajectory(name: str, arrays: Mapping[str, Any]) -> Trajectory | None:

@@ -131,6 +131,9 @@ class Truth(LatestEstimate):
     """
 
     def __init__(self, truth: GroundTruth) -> None:
+        if not truth.known().all():
+            gap = int(np.argmin(truth.known()))
+            raise UsageError(f"ekf_ideal: the truth has a gap at frame {gap}; it needs every frame's")
         self._truth = truth
         self._row = {int(landmark): row for row, landmark in enumerate(truth.ids)}
         self._landmarks = np.empty((0, truth.positions.shape[1]))

@@ -6,6 +6,8 @@ from collections.abc import Mapping, MutableSequence, Sequence
 from dataclasses import replace
 from typing import Any, overload
 
+import numpy as np
+
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.job.task import Task, stream_path
 from slamcmp.frontend.stream_file import save_stream
@@ -84,5 +86,32 @@ def store_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
     if log.truth is not None and truth is not None and truth.outliers is not None:
         for name, masks in (("outliers", log.truth.outliers), ("outliers kept", truth.outliers)):
             totals[name] = sum(int(mask.sum()) for mask in masks or ())
-    known = StoredTruth(stream.digest, len(stream.frames), truth, totals, warnings=log.warnings)
+    closures = sum(
+        frame.relative_poses.frames.size for frame in stream.frames if frame.relative_poses is not None
+    )
+    if closures:
+        totals["loop closures"] = closures
+    known = StoredTruth(
+        stream.digest,
+        len(stream.frames),
+        truth,
+        totals,
+        warnings=(*log.warnings, *_gaps(log)),
+        own_ids=log.own_ids,
+    )
     save_truth(known, task.result)
+
+
+def _gaps(log: Log) -> list[str]:
+    """Where the truth knows no pose, for those who read the scores."""
+    if log.truth is None or log.truth.known().all():
+        return []
+    known = log.truth.known()
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]])))
+    first, last = edges[0], edges[1] - 1
+    more = f" and in {edges.size // 2 - 1} more places" if edges.size > 2 else ""
+    return [
+        f"{log.name}: the truth knows the pose in {int(known.sum())} of {known.size} frames (not in "
+        f"frames {first} "
+        f"to {last}{more}); scores are of those, truth_share tells how many they are"
+    ]
