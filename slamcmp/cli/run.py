@@ -208,12 +208,17 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 
 
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
+    from slamcmp.results.summary import warm_started
+
     print_table(summary)
     for row in failed.itertuples():
         seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed!s}"
         print(f"{row.status!s}: {row.label!s} (trial {row.trial!s}{seed}): {row.message!s}", file=sys.stderr)
     for text in results.manifest.get("warnings", []):
         print(f"warning: {text}", file=sys.stderr)
+    borrowed = warm_started(results)
+    if borrowed:
+        print(f"online columns of {', '.join(borrowed)}: the warm start's (iSAM2's by default), not its own")
     search = results.manifest.get("until")
     if search:
         coverage = search.get("coverage")

@@ -14,7 +14,7 @@ from slamcmp.metrics.consistency import average_band
 from slamcmp.results.certainty import last_frame_nees, runs_by_point
 from slamcmp.results.grid import has_values, labels, point_name, pose_dimension, reference_name, swept_columns
 from slamcmp.results.store import Results
-from slamcmp.results.summary import ENOUGH_SEEDS
+from slamcmp.results.summary import ENOUGH_SEEDS, warm_started
 
 HEALTHY_NIS = (0.8, 1.25)
 """NIS per degree of freedom that a reader would pass as healthy."""
@@ -218,12 +218,7 @@ def _unequal_streams(results: Results) -> Caution | None:
 
 def _borrowed_online_column(results: Results) -> Caution | None:
     """A batch solver that solves once has nothing of its own to say while frames come in."""
-    back_ends = results.manifest.get("config", {}).get("back_ends", [])
-    borrowed = [
-        each.get("label", "batch")
-        for each in back_ends
-        if each.get("name") == "batch" and not each.get("every")
-    ]
+    borrowed = warm_started(results)
     if not borrowed:
         return None
     return Caution(

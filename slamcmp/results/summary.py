@@ -101,6 +101,15 @@ def gate_text(runs: pd.DataFrame) -> str:
     return "none" if found.empty else ", ".join(f"{value:g}" for value in found.unique())
 
 
+def warm_started(results: Results) -> list[str]:
+    """Labels of the batch solvers that solve once: what they say online is their warm start's."""
+    return [
+        str(each.get("label", "batch"))
+        for each in results.manifest.get("config", {}).get("back_ends", [])
+        if each.get("name") == "batch" and not each.get("every")
+    ]
+
+
 def summary_intervals(results: Results) -> list[dict[str, Interval]]:
     """For each row of :func:`summary_table` the 95 % interval of each median, by the column's heading."""
     columns = summary_columns(results)

@@ -1,6 +1,7 @@
 """``results/reference/``: what shipped experiments gave, written by one command and held by the slow tests.
 
-``python -m tests.anchors.reference results/p1`` writes the summary of that results folder.
+``python -m tests.anchors.reference results/p1`` writes the summary of that results folder; of an experiment
+that pages of ``docs/`` quote also a table of its runs, from which tests derive the quoted numbers anew.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
+from slamcmp.results.grid import at_point, grid_points, has_values, swept_columns
 from slamcmp.results.store import Results, load_results
 from slamcmp.results.verdict import judge
 
@@ -29,6 +32,20 @@ UNTIMED = (
     "landmark_rmse",
 )
 """Medians over the runs, for experiments without published numbers."""
+
+QUOTED = ("dial", "filter_vs_smoother", "observability", "association", "association_shared")
+"""Experiments whose numbers stand in ``docs/``."""
+OF_A_RUN = (
+    *UNTIMED,
+    "nis_per_dof",
+    "nullity",
+    "spurious_turn_per_rad2",
+    "linearisation_drift",
+    "kl_from_batch_median",
+    "gate_recall",
+    "gate_precision",
+)
+"""Columns of those tables; times are not among them, they belong to the machine."""
 
 SAME = 0.02
 """Relative; the same seeds on another machine differ by what 2500 steps make of the last bits."""
@@ -56,10 +73,24 @@ def summary(results: Results) -> dict[str, Any]:
 def write(results: Results) -> Path:
     """Write the summary to its place."""
     content = summary(results)
-    name = "_".join(Path(content["experiment"]).with_suffix("").parts[1:])
-    path = FOLDER / f"{name}.json"
+    path = FOLDER / f"{_name(content['experiment'])}.json"
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     return path
+
+
+def write_runs(results: Results) -> Path:
+    """Write the table of the runs to its place, five digits of every number."""
+    trials = results.trials
+    metrics = [name for name in OF_A_RUN if has_values(trials, [name])]
+    table = trials[["seed", *swept_columns(trials), "label", "status", *metrics]]
+    path = FOLDER / f"{_name(summary(results)['experiment'])}_runs.csv"
+    table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
+    return path
+
+
+def read_runs(name: str) -> pd.DataFrame:
+    """``results/reference/NAME_runs.csv``: one row a run, as in the trials table."""
+    return pd.read_csv(FOLDER / f"{name}_runs.csv")
 
 
 def read(name: str) -> dict[str, Any]:
@@ -79,11 +110,17 @@ def _medians(results: Results) -> list[dict[str, Any]]:
     ok = results.trials[results.trials["status"] == "ok"]
     metrics = [name for name in UNTIMED if name in ok.columns]
     return [
-        {"label": label, "at": {}, "metric": name, "measured": median, "runs": len(runs)}
-        for label, runs in ok.groupby("label", sort=False)
+        {"label": label, "at": point, "metric": name, "measured": median, "runs": len(runs)}
+        for point in grid_points(results.trials)
+        for label, runs in at_point(ok, point).groupby("label", sort=False)
         for name, median in runs[metrics].median().items()
         if median == median
     ]
+
+
+def _name(experiment: str) -> str:
+    """``anchors_p1`` of ``experiments/anchors/p1.yaml``."""
+    return "_".join(Path(experiment).with_suffix("").parts[1:])
 
 
 def _key(value: dict[str, Any]) -> tuple[str, str, str]:
@@ -103,4 +140,7 @@ def _plain(value: Any) -> Any:
 
 if __name__ == "__main__":
     for folder in sys.argv[1:]:
-        print(write(load_results(Path(folder))))
+        found = load_results(Path(folder))
+        print(path := write(found))
+        if path.stem in QUOTED:
+            print(write_runs(found))

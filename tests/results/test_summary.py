@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
+from slamcmp.cli.run import _print_results
 from slamcmp.results.certainty import certainty_table, failure_rate, last_frame_nees
 from slamcmp.results.numbers import interval_text, number_text
-from slamcmp.results.summary import paired_table, summary_intervals, summary_table
+from slamcmp.results.summary import paired_table, summary_intervals, summary_table, terminal_table
 from tests.results.hand_made import results_of, runs
 
 ERRORS = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0]
@@ -128,6 +130,20 @@ def test_too_few_pairs_have_no_test() -> None:
     assert row["ATE ratio"] == pytest.approx(2.0)
     assert (row["95 % of it"], row["95 % of the ratio"]) == ("", "")
     assert all(math.isnan(row[name]) for name in ("t test p", "sign test p", "signed-rank p"))
+
+
+def test_the_terminal_says_whose_online_columns_a_batch_solver_shows(capsys) -> None:
+    once, always, other = (
+        {"name": "batch", "label": "MAP"},
+        {"name": "batch", "label": "B", "every": 1},
+        {"name": "isam2", "label": "iSAM2"},
+    )
+    results = results_of(runs("MAP", ERRORS) + runs("B", ERRORS))
+    for back_ends, told in (([once, always, other], True), ([always, other], False), ([], False)):
+        known = replace(results, manifest={"config": {"back_ends": back_ends}})
+        _print_results(known, terminal_table(known), known.trials[:0])
+        said = capsys.readouterr().out
+        assert ("online columns of MAP: the warm start's (iSAM2's by default)" in said) is told
 
 
 def test_texts() -> None:
