@@ -29,8 +29,8 @@ def save(
     from slamcmp.errors import UsageError
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
-    from slamcmp.experiment.config.trials import make_trials
     from slamcmp.experiment.job.make_stream import make_stream
+    from slamcmp.experiment.trials import make_trials
     from slamcmp.frontend.stream_file import save_stream
 
     trials = make_trials(load_experiment(find_experiment(config)))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamcmp.experiment.config.experiment import Experiment
-from slamcmp.experiment.config.trials import RunJob, StreamJob, Trial, make_trials
 from slamcmp.experiment.job.task import run_path, stream_path, truth_path
+from slamcmp.experiment.trials import RunJob, StreamJob, Trial, make_trials
 from slamcmp.results.run_file import load_truth, run_status
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import slamcmp.errors
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError
 from slamcmp.experiment.config.experiment import Experiment
-from slamcmp.experiment.config.trials import RunJob, StreamJob, Trial
 from slamcmp.experiment.executors import Ended, Executor
 from slamcmp.experiment.job.task import Task, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.plan import Plan
+from slamcmp.experiment.trials import RunJob, StreamJob, Trial
 from slamcmp.metrics import score_run
 from slamcmp.results.run_file import StoredRun, load_run, load_truth, run_status, save_run
 from slamcmp.support.atomic import storage_error

@@ -8,9 +8,9 @@ import pytest
 
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config.experiment import load_experiment
-from slamcmp.experiment.config.trials import make_trials
 from slamcmp.experiment.content_key import data_digests
 from slamcmp.experiment.runner import run_experiment
+from slamcmp.experiment.trials import make_trials
 from slamcmp.registry import sources
 from slamcmp.support.code_version import PACKAGE, import_closure
 

@@ -13,13 +13,13 @@ import pytest
 
 from slamcmp.errors import DataError, UsageError
 from slamcmp.grading.assignment.description import find_assignment, load_assignment
-from slamcmp.grading.assignment.implementations import Remembered
-from slamcmp.grading.assignment.publish import InProcess
 from slamcmp.grading.assignment.seeds import hidden_seed
 from slamcmp.grading.results.outcome import GradeOutcome, Visibility, load_outcome, save_outcome
 from slamcmp.grading.results.scoring import log_linear
 from slamcmp.grading.run.diagnosis import explain
 from slamcmp.grading.run.grader import Grading, grade
+from slamcmp.grading.run.implementations import Remembered
+from slamcmp.grading.run.publish import InProcess
 from tests.grading.outcomes import example, path_plot, plot
 
 SECRET = b"a secret of the tests"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from slamcmp.geometry import adjoint, exp, inverse, log, right_jacobian, se2
-from slamcmp.grading.assignment.implementations import TrustedImplementation
 from slamcmp.grading.kinds.jacobian import jacobian
+from slamcmp.grading.run.implementations import TrustedImplementation
 from slamcmp.grading.run.trial import Case, Trial, Verdict
 from slamcmp.grading.sandbox.errors import StudentError
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from slamcmp.grading.assignment.implementations import Remembered
 from slamcmp.grading.results.scoring import leaves
+from slamcmp.grading.run.implementations import Remembered
 from slamcmp.types import FloatArray
 
 SAME = 1e-6

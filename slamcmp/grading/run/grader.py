@@ -26,16 +26,16 @@ from slamcmp.grading.assignment.description import (
     load_assignment,
     missing_functions,
 )
-from slamcmp.grading.assignment.implementations import (
+from slamcmp.grading.assignment.seeds import check_secret, hidden_generator
+from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
+from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, save_outcome
+from slamcmp.grading.run.diagnosis import explain
+from slamcmp.grading.run.implementations import (
     Remembered,
     Remembering,
     SandboxedImplementation,
     TrustedImplementation,
 )
-from slamcmp.grading.assignment.seeds import check_secret, hidden_generator
-from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
-from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, save_outcome
-from slamcmp.grading.run.diagnosis import explain
 from slamcmp.grading.run.trial import Implementation, Trial, Verdict
 from slamcmp.grading.sandbox.errors import (
     ProtocolViolation,

@@ -14,10 +14,10 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 
 from slamcmp.grading.assignment.description import Assignment, find_assignment, load_assignment, load_source
-from slamcmp.grading.assignment.implementations import TrustedImplementation
 from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.results.outcome import GradeOutcome
 from slamcmp.grading.run.grader import RIGHT, Grading, Runner, Sandboxed, Sides
+from slamcmp.grading.run.implementations import TrustedImplementation
 
 
 @dataclass(frozen=True)
