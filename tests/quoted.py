@@ -9,6 +9,7 @@ import pandas as pd
 
 from slamcmp.metrics.statistics import Interval, ratio_interval
 from slamcmp.results.grid import at_point
+from slamcmp.results.numbers import interval_text, number_text
 from tests.anchors.reference import read_runs
 
 
@@ -26,16 +27,19 @@ class Quoted:
         assert len(own), label
         return own.set_index("seed")[column].dropna()
 
-    def median(self, label: str, column: str) -> float:
-        """Over the runs that are ok."""
-        return float(self.of(label, column).median())
+    def median(self, label: str, column: str) -> str:
+        """Over the runs that are ok, three digits."""
+        return number_text(float(self.of(label, column).median()))
 
     def ratio(self, label: str, other: str, column: str, other_column: str | None = None) -> Interval:
         """Geometric mean of the paired ratio of one back end to another."""
         pairs = pd.concat([self.of(label, column), self.of(other, other_column or column)], axis=1).dropna()
         return ratio_interval(*pairs.to_numpy(float).T)
 
-
-def times(ratio: Interval) -> str:
-    """``1.39 times (1.17 to 1.66)``."""
-    return f"{ratio.estimate:.2f} times ({ratio.low:.2f} to {ratio.high:.2f})"
+    def times(
+        self, label: str, other: str, column: str, other_column: str | None = None, *, differs: bool
+    ) -> str:
+        """``1.39 times (1.17 to 1.66)``; the page says that the two differ, or that they are not told apart."""
+        ratio = self.ratio(label, other, column, other_column)
+        assert (not ratio.low <= 1.0 <= ratio.high) == differs, (label, other, column, ratio)
+        return f"{number_text(ratio.estimate)} times ({interval_text(ratio)})"

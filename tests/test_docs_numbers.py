@@ -1,0 +1,94 @@
+"""Every number that a page of the documentation quotes is derived anew from ``results/reference/``.
+
+A page is taken apart: what is measured must stand there as computed here, what is a setting or a definition
+is listed as such, and no other number may be left. A difference that a page speaks of must be one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.quoted import Quoted
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+ATE, NEES = "online_ate", "online_pose_nees"
+
+
+def from_filter_to_smoother() -> Iterator[str]:
+    dial = Quoted("dial")
+    for name, label in (
+        ("EKF", "EKF"),
+        ("the same pose, iterated", "iterated EKF"),
+        ("10 poses, iterated", "latest 10"),
+        ("50 poses, iterated", "latest 50"),
+        ("full smoothing", "full smoothing"),
+        ("right-invariant EKF", "right-invariant EKF"),
+    ):
+        if label == "EKF":
+            cells = ["", ""]
+        else:
+            ratios = [dial.times(label, "EKF", column, differs=True) for column in (ATE, NEES)]
+            cells = [ratio.replace(" times", "") for ratio in ratios]
+        row = [name, f"{dial.median(label, ATE)} m", dial.median(label, NEES), *cells]
+        yield f"| {' | '.join(row)} |".replace("  ", " ")
+    iterated = dial.times("iterated EKF", "EKF", ATE, differs=True)
+    yield f"has {iterated.split(' (')[0]} the EKF's error"
+    for label, other, column, differs, text in (
+        ("latest 10", "iterated EKF", ATE, False, "not told apart from it in error: {}"),
+        ("latest 10", "iterated EKF", NEES, True, "Ten poses have {} the NEES of the iterated filter"),
+        ("latest 10", "full smoothing", NEES, False, "ten poses have {} its NEES"),
+        ("fej 2", "latest 2", ATE, False, "with two poses {} the error"),
+        ("fej 2", "latest 2", NEES, False, "and {} the NEES of the same window without"),
+        ("right-invariant EKF", "full smoothing", ATE, False, "has {} full smoothing's online error"),
+        ("right-invariant EKF", "full smoothing", NEES, False, "and {} its NEES. The ideal filter"),
+        ("ideal EKF", "right-invariant EKF", ATE, False, "(Jacobians at the truth) has {} its error"),
+        ("ideal EKF", "right-invariant EKF", NEES, True, "and {} its NEES. What it lacks"),
+    ):
+        yield text.format(dial.times(label, other, column, differs=differs))
+    for window in (1, 2, 5, 10, 20, 50):
+        for column in (ATE, NEES):
+            dial.times(f"fej {window}", f"latest {window}", column, differs=False)
+    hindsight = dial.times("full smoothing", "full smoothing", "final_ate", ATE, differs=True)
+    yield f"takes full smoothing's error to {hindsight} of its own online error"
+
+
+MEASURED = {"from-filter-to-smoother.md": from_filter_to_smoother}
+STATED = {
+    "from-filter-to-smoother.md": (
+        "12 paired seeds",
+        "with the 95 % interval",
+        "where that holds 1,",
+        "NEES (3 expected)",
+        "keeps up to 50 poses",
+        # Times belong to a machine.
+        "from 0.04 ms a frame (EKF; 0.08 ms right-invariant) to 3 ms",
+    ),
+}
+
+
+def plain(page: str) -> str:
+    """The page's text on one line, without code, images and the addresses of links."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    text = re.sub(r"(?m)^    .*$", "", text)
+    text = re.sub(r"(?s)```[a-z]*\n(.*?)```", lambda code: " ".join(re.findall(r"#.*", code[1])), text)
+    text = re.sub(r"!\[.*?\]\(.*?\)", "", text)
+    text = re.sub(r"\]\(.*?\)", "]", text)
+    return " ".join(text.replace("**", "").replace("*", "").split())
+
+
+@pytest.mark.parametrize("page", MEASURED)
+def test_every_number_is_derived_or_a_setting(page: str) -> None:
+    text = plain(page)
+    missing = []
+    for quote in sorted([*MEASURED[page](), *STATED[page]], key=len, reverse=True):
+        if quote not in text:
+            missing.append(quote)
+        text = text.replace(quote, " … ")
+    assert not missing
+    # Names that hold a digit are no numbers; list marks and headings neither.
+    left = re.sub(r"\b[A-Za-z_]\w*\d\w*|`[^`]*`", "", text)
+    assert not re.findall(r".{0,40}\d.{0,40}", left)
