@@ -15,6 +15,7 @@ from slamcmp.experiment.executors import Executor
 from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.plan import Plan, plan_experiment
+from slamcmp.experiment.samples import names_of
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.experiment.tables import gather
@@ -102,7 +103,7 @@ def run_experiment(
             "jobs_run": rounds.done,
             "jobs_reused": rounds.plan.reused,
             "jobs_missing": rounds.missing,
-            "seeds": rounds.seeds(),
+            **names_of(rounds.plan.trials),
             **_about_streams(rounds.plan.trials, folder, experiment.reference),
             **({} if rounds.search is None else {"until": rounds.search}),
         }
@@ -176,10 +177,6 @@ class _Rounds:
             if over or stop.is_set() or self.fatal is not None:
                 return
             experiment = experiment.with_more_seeds()
-
-    def seeds(self) -> list[int]:
-        """Every seed that was used."""
-        return list(dict.fromkeys(trial.seed for trial in self.plan.trials if trial.seed is not None))
 
 
 def _about_streams(trials: Sequence[Trial], folder: Path, reference: str | None) -> dict[str, Any]:

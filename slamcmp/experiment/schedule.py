@@ -90,7 +90,7 @@ class Schedule:
         if not self._several_trials:
             return ""
         swept = [f"{path.rpartition('.')[2]}={value}" for path, value in trial.swept.items()]
-        seed = [] if trial.seed is None else [f"seed {trial.seed}"]
+        seed = [] if trial.seed is None else [trial.recording or f"seed {trial.seed}"]
         return f" ({', '.join([*swept, *seed])})"
 
     def _start(self, job: StreamJob | RunJob) -> None:

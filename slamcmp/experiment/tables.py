@@ -15,6 +15,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.inspection import FINDINGS, Inspector
 from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
+from slamcmp.experiment.samples import Samples
 from slamcmp.experiment.trials import RunJob, Trial
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.metrics.information import KL, last_kl, median_kl
@@ -35,11 +36,13 @@ def gather(
 
     Raises:
         SlamcmpError: back ends of one trial did not get the same stream.
+        UsageError: two samples are one and the same stream.
     """
     rows: list[dict[str, Any]] = []
     frames: list[pd.DataFrame] = []
     landmarks: list[pd.DataFrame] = []
     kinds = _kinds(trials)
+    samples = Samples()
     for trial in trials:
         if trial.stream.key in stream_faults:
             rows += [
@@ -57,6 +60,7 @@ def gather(
         if known is None or not stored:
             continue
         _require_one_stream(trial, known, [run for _, run in stored])
+        samples.add(trial, known.digest)
         truth, name = trial_truth(known, [run for _, run in stored], reference)
         borrowed = truth is not None and known.truth is None
         record = trial.runs[0].record
@@ -145,6 +149,7 @@ def _keys(trial: Trial, choice: Component, digest: str, kinds: Mapping[str, str]
         "label": choice.label,
         "back_end": choice.name,
         "seed": trial.seed,
+        **({"recording": trial.recording} if trial.recording else {}),
         "digest": digest,
         # Where there is a number, the run used its own choice of that stream's observations.
         "own_gate": math.nan if choice.own_gate is None else choice.own_gate,

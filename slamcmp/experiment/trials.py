@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from slamcmp.experiment.config.component import Component, swept_target
@@ -37,20 +38,25 @@ class RunJob:
 
 @dataclass(frozen=True)
 class Trial:
-    """One grid point with one seed: one stream, and a run of each back end on it."""
+    """One grid point with one seed or recording: one stream, and a run of each back end on it."""
 
     number: int
     seed: int | None
+    """Of paired samples the number: the seed, or which of several recordings this is."""
     swept: Mapping[str, Any]
     stream: StreamJob
     runs: tuple[RunJob, ...]
+    recording: str = ""
+    """Of several recordings the name of this one."""
 
 
 def make_trials(experiment: Experiment) -> list[Trial]:
-    """Every trial, grid points in the order of the file and seeds innermost."""
+    """Every trial, grid points in the order of the file and seeds (or recordings) innermost."""
     trials: list[Trial] = []
-    for swept in grid(experiment):
+    for swept, (number, recording_of) in product(grid(experiment), enumerate(experiment.recordings or ({},))):
         source, front_end, back_ends = _apply(experiment, swept)
+        for parameter, value in recording_of.items():
+            source = source.with_parameter(parameter, value)
         for seed in experiment.seeds:
             stream = StreamJob(stream_key(source, front_end, seed), source, front_end, seed)
             limits = experiment.time_limit_s, experiment.memory_limit_mb
@@ -60,7 +66,9 @@ def make_trials(experiment: Experiment) -> list[Trial]:
                 RunJob(run_key(stream.key, each, *limits, recording), stream.key, each, seed, *limits, record)
                 for each in back_ends
             )
-            trials.append(Trial(len(trials), seed, swept, stream, runs))
+            sample = number if recording_of else seed
+            name = next(iter(recording_of.values()), "")
+            trials.append(Trial(len(trials), sample, swept, stream, runs, name))
     return trials
 
 

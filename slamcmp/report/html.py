@@ -215,7 +215,7 @@ def _trial_rows(results: Results) -> list[list[Cell]]:
         rows.append(
             [
                 cell(row["trial"]),
-                cell(row["seed"]),
+                cell(row.get("recording") or row["seed"]),
                 *(swept_cell(row[path]) for path in swept),
                 cell(row["label"]),
                 Cell(status, status, status="ok" if status == "ok" else "bad"),

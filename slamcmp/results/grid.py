@@ -53,6 +53,8 @@ def trial_name(results: Results, trial: int) -> str:
     """``trial 3 (seed 4, source.range_sigma_m = 0.1)``."""
     row = results.trials[results.trials["trial"] == trial].iloc[0]
     parts = [] if pd.isna(row["seed"]) else [f"seed {int(row['seed'])}"]
+    if "recording" in row:
+        parts = [str(row["recording"])]
     parts += [f"{path} = {value_text(row[path])}" for path in swept_columns(results.trials)]
     return f"trial {trial}" + (f" ({', '.join(parts)})" if parts else "")
 

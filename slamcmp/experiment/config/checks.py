@@ -30,6 +30,8 @@ class Checker:
     def __init__(self, errors: ConfigErrors, folder: Path) -> None:
         self._errors = errors
         self._folder = folder
+        self.recordings: tuple[Mapping[str, str], ...] = ()
+        """Where the source names several, its parameters that name each one."""
 
     def choice(self, kind: str, section: Mapping[str, Any], path: KeyPath) -> Component | None:
         if not section:
@@ -57,6 +59,8 @@ class Checker:
             self._errors.add((*path, "name"), str(error))
             return None
         default_label = plugin.name.rpartition(":")[2]
+        if kind == "source":
+            self.recordings, given = self._several_recordings(plugin, given, path)
         try:
             parameters = check_parameters(plugin, given)
         except ValidationError as error:
@@ -69,6 +73,57 @@ class Checker:
         if own_gate is not None:
             default_label += ", own gate"
         return Component(kind, plugin.name, spec, parameters, label or default_label, self._folder, own_gate)
+
+    def _several_recordings(
+        self, plugin: Plugin, given: dict[str, Any], path: KeyPath
+    ) -> tuple[tuple[Mapping[str, str], ...], dict[str, Any]]:
+        """The recordings that lists of files or folders name, and the parameters with the first of them."""
+        lists = {
+            name: given[name]
+            for name in plugin.traits.get("paths", ())
+            if isinstance(given.get(name), list) and given[name]
+        }
+        if not lists:
+            return (), given
+        first = next(iter(lists))
+        for name, values in lists.items():
+            for index, value in enumerate(values):
+                if not isinstance(value, str):
+                    what = f"{name}: the name of a file or folder, not {value!r}"
+                    self._errors.add((*path, name, index), what)
+                    return (), {**given, **dict.fromkeys(lists, "")}
+            if len(values) != len(lists[first]):
+                what = (
+                    f"{name}: {len(values)} recordings where {first} names {len(lists[first])}; one for each"
+                )
+                self._errors.add((*path, name), what)
+        count = min(len(values) for values in lists.values())
+        found = tuple({name: values[index] for name, values in lists.items()} for index in range(count))
+        for index, each in enumerate(found):
+            if each in found[:index]:
+                what = f"{first}: {each[first]} stands twice; a recording is one sample"
+                self._errors.add((*path, first, index), what)
+        return found, {**given, **found[0]}
+
+    def require_recordings_alone(
+        self, seeds: Sequence[int | None], until: StopRule | None, swept: Mapping[str, Any]
+    ) -> None:
+        """Recordings are the samples: nothing else may be."""
+        if not self.recordings:
+            return
+        if len(seeds) > 1:
+            what = "seeds: the source's recordings are the samples; leave seeds out, or name one recording"
+            self._errors.add(("seeds",), what)
+        if until is not None:
+            self._errors.add(
+                ("until",), "until: the source's recordings are the samples: there are no more to add"
+            )
+        for name in self.recordings[0]:
+            if f"source.{name}" in swept:
+                what = (
+                    f"sweep: source.{name} names recordings already; a sweep would make grid points of them"
+                )
+                self._errors.add(("sweep", f"source.{name}"), what, key=True)
 
     def _gate(self, plugin: Plugin, value: Any, path: KeyPath) -> bool:
         """Whether the back end can have a gate of its own of this probability."""

@@ -33,7 +33,10 @@ class ExperimentFields(BaseModel):
     name: str | None = Field(None, pattern=NAME_PATTERN, description="Default: the file's stem")
     question: str = Field("", description="What the experiment answers, in one sentence")
     description: str = ""
-    source: dict[str, Any] = Field(description="Where the log comes from: name and parameters")
+    source: dict[str, Any] = Field(
+        description="Where the log comes from: name and parameters; a list in place of a file or folder "
+        "names recordings, which are then the paired samples"
+    )
     front_end: dict[str, Any] = Field(
         default={"name": "labelled"}, description="What turns the log into the stream every back end gets"
     )
@@ -76,6 +79,8 @@ class Experiment:
     back_ends: tuple[Component, ...]
     seeds: tuple[int | None, ...] = (0,)
     """(None,) for a source that takes no seed; with ``until`` only the first batch."""
+    recordings: tuple[Mapping[str, str], ...] = ()
+    """Of several recordings, which are the paired samples, the source's parameters that name each one."""
     until: StopRule | None = None
     sweep: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     reference: str | None = None
@@ -96,6 +101,8 @@ class Experiment:
         Raises:
             UsageError: the source takes no seed.
         """
+        if self.recordings:
+            raise UsageError("the samples are the source's recordings: there are no seeds to choose")
         if self.seeds == (None,):
             raise UsageError(f"source {self.source.name!r} is recorded data: it takes no seed")
         return replace(self, seeds=tuple(seeds), until=None)
@@ -118,7 +125,8 @@ class Experiment:
             "name": self.name,
             "question": self.question,
             "description": self.description,
-            "source": choice(self.source),
+            "source": choice(self.source)
+            | {name: [each[name] for each in self.recordings] for name in next(iter(self.recordings), ())},
             "front_end": choice(self.front_end),
             "back_ends": [{**choice(each), "label": each.label} for each in self.back_ends],
             "reference": self.reference,
@@ -194,6 +202,7 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
     until = None if fields.until is None else StopRule.model_validate(fields.until)
     first = fields.seeds if until is None or "seeds" in source.data else until.batch
     seeds = checker.seeds(first, chosen_source)
+    checker.require_recordings_alone(seeds, until, fields.sweep)
     if until is not None:
         checker.until(until, seeds, len(chosen))
     labels = [choice.label for choice in chosen if choice is not None]
@@ -219,6 +228,7 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
         front_end=front_end,
         back_ends=tuple(choice for choice in chosen if choice is not None),
         seeds=seeds,
+        recordings=checker.recordings,
         until=until,
         sweep={key: tuple(values) for key, values in fields.sweep.items()},
         reference=fields.reference,

@@ -51,6 +51,9 @@ def _plugin_schema(plugin: Plugin, definitions: dict[str, Any], back_end: bool) 
     definitions.update(schema.pop("$defs", {}))
     extra = {"label": {"type": "string", "minLength": 1}, OWN_GATE: PROBABILITY_SCHEMA} if back_end else {}
     properties = {"name": {"const": plugin.name}, **extra, **schema.get("properties", {})}
+    for name in set(plugin.traits.get("paths", ())) & properties.keys():
+        several = {"type": "array", "items": {"type": "string"}, "minItems": 1, "uniqueItems": True}
+        properties[name] = {"anyOf": [properties[name], several]}
     return {
         **schema,
         "title": plugin.name,
