@@ -39,7 +39,7 @@ class Quoted:
     def times(
         self, label: str, other: str, column: str, other_column: str | None = None, *, differs: bool
     ) -> str:
-        """``1.39 times (1.17 to 1.66)``; the page says that the two differ, or that they are not told apart."""
+        """``1.39 times (1.17 to 1.66)``, of two that the page says to differ, or not to be told apart."""
         ratio = self.ratio(label, other, column, other_column)
         assert (not ratio.low <= 1.0 <= ratio.high) == differs, (label, other, column, ratio)
         return f"{number_text(ratio.estimate)} times ({interval_text(ratio)})"
