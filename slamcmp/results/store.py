@@ -24,7 +24,7 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class Results:
-    """What an experiment found."""
+    """What an experiment found; the columns of its tables, with units, are listed in docs/formats.md."""
 
     folder: Path
     manifest: dict[str, Any]
@@ -34,6 +34,17 @@ class Results:
     """One row per frame and run."""
     landmarks: pd.DataFrame
     """One row per landmark and run."""
+
+    def __repr__(self) -> str:
+        from slamcmp.results.notebook import run_counts
+
+        return f"<Results of {self.manifest.get('name')!r}: runs {run_counts(self)}; in {self.folder}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what ran, what is missing, key figures."""
+        from slamcmp.results.notebook import results_html
+
+        return results_html(self)
 
 
 def save_results(results: Results) -> None:
