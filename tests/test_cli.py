@@ -181,19 +181,23 @@ def test_ctrl_c_keeps_what_is_done_and_the_next_run_completes_it(tmp_path: Path)
         start_new_session=True,
     )
     runs = tmp_path / "results" / "mine" / "runs"
-    for _ in range(600):
+    for _ in range(3000):
         if len(list(runs.glob("*.npz"))) >= 2:
             break
         time.sleep(0.02)
     # As a terminal does it: to the whole process group, workers included.
     os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
+    output, errors = process.communicate(timeout=60)
     assert process.returncode == 130, errors
     assert "interrupted: " in errors
     assert "Traceback" not in errors
     interrupted = load_results(tmp_path / "results" / "mine")
     assert 2 <= len(interrupted.trials) < 5
     assert interrupted.manifest["jobs_missing"] > 0
+    # What there is, and what is not, in the terminal too.
+    assert "DeadReckoning" in output
+    missing = 5 - len(interrupted.trials)
+    assert f"not complete: {missing} of 5 runs are missing (" in output
     answer = call(tmp_path, "run", "mine.yaml", "--no-report")
     assert answer.returncode == 0
     resumed = load_results(tmp_path / "results" / "mine")

@@ -26,6 +26,7 @@ def plot(
     """Draw an experiment's figures into its results folder."""
     from slamcmp.errors import UsageError
     from slamcmp.report import draw_figures
+    from slamcmp.results.partial import missing_runs
     from slamcmp.results.store import find_results, load_results
 
     wanted = tuple(part.strip() for part in formats.split(","))
@@ -33,6 +34,9 @@ def plot(
     if unknown:
         raise UsageError(f"--format {formats}: {unknown[0]!r} is not one of png, svg, pdf")
     found = load_results(find_results(results))
+    missing = missing_runs(found)
+    if missing is not None:
+        print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)
     names = figure or found.manifest["config"].get("figures")
     drawn = draw_figures(found, names, found.folder / "figures", wanted)
     for path in drawn:
@@ -44,7 +48,11 @@ def plot(
 def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:
     """Write an experiment's report as one HTML file that needs no network."""
     from slamcmp.report import write_report
+    from slamcmp.results.partial import missing_runs
     from slamcmp.results.store import find_results, load_results
 
     found = load_results(find_results(results))
+    missing = missing_runs(found)
+    if missing is not None:
+        print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)
     print(write_report(found, found.folder / "report.html"))

@@ -54,7 +54,7 @@ def run(
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.experiment.plan import plan_experiment
-    from slamcmp.experiment.runner import run_experiment
+    from slamcmp.experiment.runner import Interrupted, run_experiment
 
     experiment = load_experiment(find_experiment(config))
     seeds = None if seed is None else [seed]
@@ -65,23 +65,29 @@ def run(
         )
         _print_plan(plan, folder, as_json)
         return
-    found = run_experiment(
-        experiment,
-        folder=folder,
-        jobs=jobs,
-        rerun_failed=rerun_failed,
-        seeds=seeds,
-        executor=executor,
-        progress=not as_json,
-        command=" ".join(["slamcmp", *sys.argv[1:]]),
-    )
+    interruption: Interrupted | None = None
+    try:
+        found = run_experiment(
+            experiment,
+            folder=folder,
+            jobs=jobs,
+            rerun_failed=rerun_failed,
+            seeds=seeds,
+            executor=executor,
+            progress=not as_json,
+            command=" ".join(["slamcmp", *sys.argv[1:]]),
+        )
+    except Interrupted as error:
+        # The table now; figures and page take a while, and `slamcmp report` makes them when they are wanted.
+        found, interruption, no_report = error.results, error, True
     from slamcmp.report import summary_table, write_report
+    from slamcmp.results.partial import missing_runs
     from slamcmp.results.summary import terminal_table
     from slamcmp.results.verdict import judge
 
     summary = summary_table(found) if as_json else terminal_table(found)
     failed = found.trials[found.trials["status"] != "ok"]
-    verdict = judge(found)
+    verdict, missing = judge(found), missing_runs(found)
     if not as_json:
         _print_results(found, summary, failed)
         if verdict is not None:
@@ -101,6 +107,7 @@ def run(
                     "manifest": json_value(found.manifest),
                     "summary": json_rows(summary.reset_index()),
                     "trials": json_rows(found.trials),
+                    "missing": None if missing is None else json_value(missing.as_dict()),
                     "published": None if verdict is None else json_value(verdict.as_dict()),
                 },
                 default=str,
@@ -111,6 +118,8 @@ def run(
         print(f"report: {report}")
     if fault is not None:
         raise fault
+    if interruption is not None:
+        raise interruption
     if len(failed):
         raise typer.Exit(1)
 
@@ -208,9 +217,14 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 
 
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
+    from slamcmp.results.partial import missing_runs
     from slamcmp.results.summary import warm_started
 
-    print_table(summary)
+    missing = missing_runs(results)
+    if not summary.empty:
+        print_table(summary)
+    if missing is not None:
+        print(missing.sentence())
     for row in failed.itertuples():
         seed = "" if row.seed is None or str(row.seed) == "<NA>" else f", seed {row.seed!s}"
         print(f"{row.status!s}: {row.label!s} (trial {row.trial!s}{seed}): {row.message!s}", file=sys.stderr)

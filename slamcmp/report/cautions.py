@@ -13,6 +13,7 @@ from scipy.special import bdtrc, chdtrc
 from slamcmp.metrics.consistency import average_band
 from slamcmp.results.certainty import last_frame_nees, runs_by_point
 from slamcmp.results.grid import has_values, labels, point_name, pose_dimension, reference_name, swept_columns
+from slamcmp.results.partial import Missing, comparable, missing_runs
 from slamcmp.results.store import Results
 from slamcmp.results.summary import ENOUGH_SEEDS, warm_started
 
@@ -42,18 +43,26 @@ class Caution:
 
 def cautions(results: Results) -> list[Caution]:
     """Failed runs, innovations that look healthy on a wrong trajectory, too few runs, unequal streams."""
+    missing, results = missing_runs(results), comparable(results)
     found = [
+        None if missing is None else Caution("Not complete", _sentence(missing)),
         _warnings(results),
         _failed(results),
         _own_gates(results),
         _healthy_but_far(results),
         _borrowed_online_column(results),
         _few_runs(results),
+        _in_session(results),
         _no_times(results),
         _shared_machine(results),
         _unequal_streams(results),
     ]
     return [caution for caution in found if caution is not None]
+
+
+def _sentence(missing: Missing) -> str:
+    text = missing.sentence()
+    return f"{text[:1].upper()}{text[1:]}. The same command runs what is missing."
 
 
 def distance_in_sigmas(frames: pd.DataFrame) -> float:
@@ -227,6 +236,19 @@ def _borrowed_online_column(results: Results) -> Caution | None:
         "or dead reckoning), so its online column says nothing about batch; its own result is the final "
         "column, and the time of the final solution stands apart from the updates. every: 1 solves at each "
         "frame.",
+    )
+
+
+def _in_session(results: Results) -> Caution | None:
+    """A class of a notebook's cell has no file to be found again by."""
+    session = results.manifest.get("in_session")
+    if not session:
+        return None
+    return Caution(
+        f"{', '.join(session)}: run in the session's own process",
+        "No memory limit held there, the time limit was only looked at between frames, and times include "
+        "what else the session did. The text of the class is in the manifest; put it into a file to have it "
+        "run like the others.",
     )
 
 

@@ -17,6 +17,7 @@ from slamcmp.metrics.statistics import (
 )
 from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension
 from slamcmp.results.numbers import interval_text, number_text, share_text
+from slamcmp.results.partial import comparable
 from slamcmp.results.store import Results
 
 
@@ -37,6 +38,7 @@ def certainty_table(results: Results) -> pd.DataFrame:
     with an interval), the worst run with its seed, and the ANEES of the last frame with the band for that
     many runs. Without any ATE only the failure rate is left.
     """
+    results = comparable(results)
     rows: list[dict[str, Any]] = []
     for point, label, own in runs_by_point(results):
         for which in [w for w in ("online", "final") if has_values(own, [f"{w}_ate"])] or [""]:

@@ -37,8 +37,8 @@ class Missing:
         """How many, and which: ``not complete: 3 of 20 runs are missing (EKF: seeds 3, 4; batch: …)…``."""
         parts = [f"{label}: {_named(own)}" for label, own in self.runs.groupby("label", sort=False)]
         return (
-            f"not complete: {len(self.runs)} of {self.asked} runs are missing ({'; '.join(parts)}); back ends "
-            f"are compared on the {self.compared} of {self.trials} trials that all of them have"
+            f"not complete: {len(self.runs)} of {self.asked} runs are missing ({'; '.join(parts)}); "
+            f"back ends are compared on the {self.compared} of {self.trials} trials that all of them have"
         )
 
     def short(self) -> str:
@@ -52,7 +52,10 @@ class Missing:
         """Missing runs of one back end at one grid point."""
         own = self.runs[self.runs["label"] == label]
         return sum(
-            all(_cell(value) in (_cell(row[path]), _cell(json.dumps(row[path]))) for path, value in point.items())
+            all(
+                _cell(value) in (_cell(row[path]), _cell(json.dumps(row[path])))
+                for path, value in point.items()
+            )
             for row in own.to_dict("records")
         )
 
@@ -74,7 +77,7 @@ def missing_runs(results: Results) -> Missing | None:
     names = [str(entry["label"]) for entry in config.get("back_ends") or [] if "label" in entry]
     if not names:
         return _without_configuration(results)
-    seeds = results.manifest.get("seeds") or config.get("seeds") or [None]
+    seeds = results.manifest.get("seeds") or config.get("seeds") or results.trials["seed"].unique().tolist()
     there = {
         (*(_cell(row.get(path)) for path in sweep), _cell(row["seed"]), str(row["label"]))
         for row in results.trials.to_dict("records")
@@ -108,7 +111,7 @@ def comparable(results: Results) -> Results:
     ran = results.trials[~results.trials["status"].isin(NOT_RUN)]
 
     def rows(table: pd.DataFrame) -> pd.DataFrame:
-        return table[table["trial"].isin(whole)]
+        return table[table["trial"].isin(whole)] if "trial" in table else table
 
     return replace(results, trials=rows(ran), frames=rows(results.frames), landmarks=rows(results.landmarks))
 

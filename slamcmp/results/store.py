@@ -6,8 +6,11 @@ for readers; ``runs/`` and ``streams/`` hold what a resumed run reuses, ``logs/`
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +20,13 @@ import pyarrow
 
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.messages import told
 
 TABLES = ("trials", "frames", "landmarks")
 MANIFEST = "manifest.json"
+AGAIN = "run the experiment again: what finished is reused"
+DIGESTS = "tables_sha256"
+"""The key of the manifest under which the tables that belong to it are known by their content."""
 
 
 @dataclass(frozen=True)
@@ -48,25 +55,29 @@ class Results:
 
 
 def save_results(results: Results) -> None:
-    """Write the tables, then the manifest; each file is replaced as a whole.
+    """Write the tables, then the manifest with their hashes; each file is replaced as a whole.
 
     Raises:
         StorageError: the folder cannot be written; finished runs in it are not touched.
         DataError: a column holds what Parquet cannot.
     """
+    digests = {}
     for name in TABLES:
         table: pd.DataFrame = getattr(results, name)
         path = results.folder / f"{name}.parquet"
+        buffer = io.BytesIO()
         try:
-            write_atomically(
-                path,
-                lambda file, table=table: table.to_parquet(file, index=False, compression="zstd"),  # type: ignore[misc]
-            )
+            table.to_parquet(buffer, index=False, compression="zstd", write_page_checksum=True)
         except (pyarrow.ArrowException, ValueError, TypeError) as error:
             raise DataError(
                 f"{path}: the table of {name} has a column that Parquet cannot hold ({error}); the runs "
                 f"themselves are kept in {results.folder / 'runs'}"
             ) from error
+        content = buffer.getbuffer()
+        write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
+        digests[name] = hashlib.sha256(content).hexdigest()
+    # So that the manifest of one run and a table of another are never read as one.
+    results.manifest[DIGESTS] = digests
     text = json.dumps(finite(results.manifest), indent=2, default=str, allow_nan=False)
     write_atomically(results.folder / MANIFEST, lambda file: file.write(text.encode()))
 
@@ -91,12 +102,41 @@ def load_results(folder: Path | str) -> Results:
     for name in (MANIFEST, *(f"{table}.parquet" for table in TABLES)):
         if not (folder / name).is_file():
             raise MissingDataError(f"{folder}: no results here ({name} is missing); 'slamcmp run' makes them")
+    manifest = _read_manifest(folder)
+    return Results(folder, manifest, **{name: _read_table(folder, name, manifest) for name in TABLES})
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
     try:
-        manifest = json.loads((folder / MANIFEST).read_text())
-        tables = {name: pd.read_parquet(folder / f"{name}.parquet") for name in TABLES}
-    except (OSError, ValueError) as error:
-        raise DataError(f"{folder}: the results are damaged ({error}); run the experiment again") from error
-    return Results(folder, manifest, **tables)
+        manifest: Any = json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"{folder / MANIFEST}: cannot be read ({_told(error)}); {AGAIN}") from error
+    mappings = (manifest, manifest.get("config"), manifest.get(DIGESTS)) if isinstance(manifest, dict) else ()
+    if not mappings or not all(isinstance(each, dict) for each in mappings):
+        raise DataError(
+            f"{folder / MANIFEST}: is no manifest of this version: it must hold the mappings 'config' and "
+            f"{DIGESTS!r}; {AGAIN}"
+        )
+    found: dict[str, Any] = manifest
+    return found
+
+
+def _read_table(folder: Path, name: str, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    path = folder / f"{name}.parquet"
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != manifest[DIGESTS].get(name):
+            raise DataError(
+                f"{path}: is not the table that {MANIFEST} describes: it was changed, or belongs to another "
+                f"experiment; {AGAIN}"
+            )
+        return pd.read_parquet(io.BytesIO(content), page_checksum_verification=True)
+    except (OSError, ValueError, pyarrow.ArrowException) as error:
+        raise DataError(f"{path}: cannot be read ({_told(error)}); {AGAIN}") from error
+
+
+def _told(error: Exception) -> str:
+    return " ".join(told(str(error), 300).split())
 
 
 def find_results(results: str) -> Path:

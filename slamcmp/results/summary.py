@@ -22,6 +22,7 @@ from slamcmp.metrics.statistics import (
 from slamcmp.results.certainty import failure_rate, runs_by_point, worst_run
 from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension, swept_columns
 from slamcmp.results.numbers import interval_text, number_text
+from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results
 
 TRAJECTORY_METRICS = ("ate", "ate_aligned", "heading_rmse_deg", "pose_nees")
@@ -72,8 +73,10 @@ def summary_table(results: Results) -> pd.DataFrame:
 
     Every error column says whether it scores the online or the final trajectory; ``failed`` names the
     statuses of the runs that are in no median; ``own gate``, where there is any, says which rows chose their
-    observations by a gate of their own.
+    observations by a gate of their own. Where runs are missing, ``missing`` counts them, and everything else
+    is over the trials that all back ends have.
     """
+    missing, results = missing_runs(results), comparable(results)
     columns = summary_columns(results)
     gated = has_values(results.trials, ["own_gate"])
     rows: list[dict[str, Any]] = []
@@ -88,6 +91,7 @@ def summary_table(results: Results) -> pd.DataFrame:
                 "runs": len(own),
                 "ok": len(ok),
                 "failed": ", ".join(failed),
+                **({} if missing is None else {"missing": missing.of(label, point)}),
                 "reference": ", ".join(sorted(own["reference"].dropna().astype(str).unique())),
                 **{column.full_header: ok[column.name].dropna().median() for column in columns},
             }
@@ -112,6 +116,7 @@ def warm_started(results: Results) -> list[str]:
 
 def summary_intervals(results: Results) -> list[dict[str, Interval]]:
     """For each row of :func:`summary_table` the 95 % interval of each median, by the column's heading."""
+    results = comparable(results)
     columns = summary_columns(results)
     return [
         {
@@ -132,6 +137,9 @@ def terminal_table(results: Results) -> pd.DataFrame:
         return text.replace(" to ", "–")
 
     table = summary_table(results)
+    if table.empty:
+        return table
+    results = comparable(results)
     groups = [own for _, _, own in runs_by_point(results)]
     if max((len(own) for own in groups), default=0) >= ENOUGH_SEEDS:
         rates = [short(failure_rate(own)) for own in groups]
@@ -178,6 +186,7 @@ def paired_table(results: Results) -> pd.DataFrame:
     less. Tests need five pairs. The reference itself is left out. Where a back end gates for itself,
     ``own gates`` says so of both sides.
     """
+    results = comparable(results)
     rows: list[dict[str, Any]] = []
     swept = swept_columns(results.trials)
     gated = has_values(results.trials, ["own_gate"])

@@ -27,6 +27,7 @@ import pandas as pd
 from slamcmp.metrics.statistics import Interval, ratio_interval
 from slamcmp.results.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
 from slamcmp.results.grid import at_point, grid_points, point_name
+from slamcmp.results.partial import comparable
 from slamcmp.results.published import Published, PublishedOrder
 from slamcmp.results.store import Results
 
@@ -120,7 +121,8 @@ def judge(results: Results) -> PublishedVerdict | None:
     section = results.manifest.get("config", {}).get("published")
     if not section:
         return None
-    return judge_published(Published.model_validate(section), results.trials, results.frames)
+    shown = comparable(results)
+    return judge_published(Published.model_validate(section), shown.trials, shown.frames)
 
 
 def judge_published(published: Published, trials: pd.DataFrame, frames: pd.DataFrame) -> PublishedVerdict:

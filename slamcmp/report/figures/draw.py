@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from slamcmp.errors import UsageError
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results
 from slamcmp.support.atomic import write_atomically
 from slamcmp.support.messages import describe
@@ -23,6 +25,8 @@ from slamcmp.support.messages import describe
 ORDER = ("map", "errors", "consistency", "observability", "kl_from_batch", "time", "budget", "sweep")
 """How a report reads; figures that are not named here follow in alphabetical order."""
 DPI = 150
+LETTERS_PER_INCH = 11
+"""Of a bold title."""
 
 
 class FigureFiles(list[Path]):
@@ -99,11 +103,16 @@ def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterato
     if names is None:
         known = figures.names()
         names = [name for name in ORDER if name in known] + [name for name in known if name not in ORDER]
+    missing, results = missing_runs(results), comparable(results)
     for plugin in [figures.get(name) for name in names]:
         title, caption = plugin.traits.get("title", plugin.name), plugin.traits.get("caption", plugin.summary)
         with matplotlib.rc_context(style.RC):
             try:
+                if results.trials.empty:
+                    raise NotDrawable("no trial has a run of every back end")
                 figure = plugin.target(results)
+                if missing is not None:
+                    _say(figure, missing.short())
                 make_table = plugin.traits.get("table")
                 table = None if make_table is None else make_table(results)
                 drawn = Drawn(plugin.name, title, caption, figure, table=table)
@@ -113,6 +122,12 @@ def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterato
                 # One figure's mistake must cost neither the others nor the tables.
                 drawn = Drawn(plugin.name, title, caption, None, fault_text(error))
         yield drawn
+
+
+def _say(figure: Figure, what: str) -> None:
+    """Below the title, where whoever sees the figure alone sees it too."""
+    lines = textwrap.wrap(what, int(LETTERS_PER_INCH * figure.get_figwidth()))
+    figure.suptitle("\n".join([figure.get_suptitle(), *lines]), x=0.01, ha="left", fontweight="bold")
 
 
 def fault_text(error: Exception) -> str:
