@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Gt
 from numpy.typing import NDArray
 
 from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, require_fit, require_size
@@ -20,7 +21,7 @@ from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, Size, rectify, undistort
 from slamcmp.datasets.text import whole
-from slamcmp.datasets.trajectories import nearest_rotations, ordered, poses_at, poses_from
+from slamcmp.datasets.trajectories import MAX_GAP_S, nearest_rotations, ordered, poses_at, poses_from
 from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
@@ -28,16 +29,24 @@ from slamcmp.models.camera import MonoCamera, StereoCamera
 from slamcmp.types import FloatArray
 
 ORIGIN = "http://robotics.ethz.ch/~asl-datasets/ijrr_euroc_mav_dataset/ (the ASL format)"
-MAX_DELAY_NS = 2_000_000
+MAX_DELAY_S = 0.002
 """Between the two images of a pair; the cameras are triggered together."""
 
 
 @image_source("euroc", paths=("folder",), speed_sigma_m_s=1.0, turn_sigma_deg_s=60.0)
-def euroc(*, folder: str, camera: Literal["stereo", "mono"] = "stereo") -> Recording:
+def euroc(
+    *,
+    folder: str,
+    camera: Literal["stereo", "mono"] = "stereo",
+    pair_within_s: Annotated[float, Gt(0)] = MAX_DELAY_S,
+    max_gap_s: Annotated[float, Gt(0)] = MAX_GAP_S,
+) -> Recording:
     """A EuRoC flight: a stereo pair on a small helicopter, with poses.
 
     ``folder`` holds ``mav0``, here or under ``SLAMCMP_DATA``. The body is the IMU (x up, z forward as it is
-    mounted); the world is the motion capture's, z up. Images are freed of distortion and rectified.
+    mounted); the world is the motion capture's, z up. Images are freed of distortion and rectified. The
+    two of a pair are at most ``pair_within_s`` apart; poses are interpolated between two that are at most
+    ``max_gap_s`` apart.
 
     Raises:
         MissingDataError: no such folder, calibration or list of images.
@@ -63,7 +72,7 @@ def euroc(*, folder: str, camera: Literal["stereo", "mono"] = "stereo") -> Recor
         if right.size != left.size:
             raise DataError(f"{mav}: cam0 has {left.size} pixels and cam1 {right.size}; one size is needed")
         read += right.files
-        stamps, files, warnings = _pairs(left, right)
+        stamps, files, warnings = _pairs(left, right, pair_within_s)
         require_size(files, left.size, str(left.files[0]))
         T_right_left = inverse(right.T_body_camera) @ left.T_body_camera
         pair = rectify(left.lens, right.lens, T_right_left, left.size, source=f"{mav}: T_BS of cam0 and cam1")
@@ -79,7 +88,7 @@ def euroc(*, folder: str, camera: Literal["stereo", "mono"] = "stereo") -> Recor
     poses = mav / "state_groundtruth_estimate0" / "data.csv"
     if poses.is_file():
         read.append(poses)
-        truth = poses_at(t, *_truth(poses, origin))
+        truth = poses_at(t, *_truth(poses, origin), max_gap_s=max_gap_s)
     name = f"euroc_{mav.resolve().parent.name}"
     return Recording(name, t, images, model, truth, files=tuple(read), warnings=warnings)
 
@@ -135,16 +144,24 @@ def _intrinsics(K: FloatArray) -> dict[str, Any]:
 
 
 def _pairs(
-    left: _Camera, right: _Camera
+    left: _Camera, right: _Camera, pair_within_s: float
 ) -> tuple[NDArray[np.int64], tuple[FrameFiles, ...], tuple[str, ...]]:
     """Left images, each with the right image of its instant."""
     partner, delays = nearest_in_time(left.stamps, right.stamps)
-    paired = np.flatnonzero(delays <= MAX_DELAY_NS)
+    paired = np.flatnonzero(delays <= 1e9 * pair_within_s)
     if not paired.size:
-        raise DataError(f"{right.files[1]}: no image is within 2 ms of one of {left.files[1]}")
+        raise DataError(
+            f"{right.files[1]}: no image is within pair_within_s ({pair_within_s:g} s) of one of "
+            f"{left.files[1]}; "
+            f"the nearest is {1e-9 * delays.min():.3g} s away"
+        )
     files = tuple(FrameFiles(left.images[k], right.images[partner[k]]) for k in paired)
     lost = left.stamps.size - paired.size
-    warnings = (f"left out {lost} left image(s) without a right one within 2 ms",) if lost else ()
+    warnings = (
+        (f"left out {lost} left image(s) without a right one within {pair_within_s:g} s (pair_within_s)",)
+        if lost
+        else ()
+    )
     return left.stamps[paired], files, warnings
 
 

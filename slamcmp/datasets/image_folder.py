@@ -12,7 +12,8 @@ from slamcmp.datasets.calibration_file import read_calibration
 from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, require_size
 from slamcmp.datasets.folders import find_folder, numbers, require_file, text_rows
 from slamcmp.datasets.recording import Recording, image_source
-from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
+from slamcmp.datasets.time_stamps import TimeUnit
+from slamcmp.datasets.trajectories import MAX_GAP_S, read_poses_at
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.models.camera import RgbdCamera, StereoCamera
 from slamcmp.types import FloatArray
@@ -35,6 +36,8 @@ def image_folder(
     rate_hz: Positive | None = None,
     truth: str | None = None,
     recorded_odometry: str | None = None,
+    pose_time_unit: TimeUnit = "auto",
+    max_gap_s: Positive = MAX_GAP_S,
 ) -> Recording:
     """A folder of images with a calibration file: mono, stereo or RGB-D.
 
@@ -42,8 +45,9 @@ def image_folder(
     of the left or only camera, ``right`` and ``depth`` the others with the same names (but for the suffix).
     Give either ``times``, a file with one stamp of ``time_unit_s`` a line in the images' order, or with stamp
     and image name; or ``rate_hz``. ``truth`` and ``recorded_odometry`` are files with lines
-    ``t x y z qx qy qz qw`` of the body, interpolated at the images' times. The calibration's keys are told
-    in :mod:`slamcmp.datasets.calibration_file`.
+    ``t x y z qx qy qz qw`` of the body, stamps in ``pose_time_unit``, interpolated at the images' times
+    between poses at most ``max_gap_s`` apart. The calibration's keys are told in
+    :mod:`slamcmp.datasets.calibration_file`.
 
     Raises:
         MissingDataError: a folder or file is not there.
@@ -72,11 +76,19 @@ def image_folder(
     require_size(files, calibrated.size, str(sheet))
 
     trajectories: list[FloatArray | None] = [None, None]
+    told: list[str] = []
     for index, name in enumerate((truth, recorded_odometry)):
         if name is not None:
             path = require_file(root / name, "poses of the body, lines t x y z qx qy qz qw")
             read.append(path)
-            trajectories[index] = poses_at(t, *read_tum_trajectory(path))
+            trajectories[index] = read_poses_at(
+                path,
+                t,
+                time_unit=pose_time_unit,
+                max_gap_s=max_gap_s,
+                parameters=("pose_time_unit", "max_gap_s"),
+                told=told,
+            )
     return Recording(
         root.resolve().name,
         t,
@@ -92,6 +104,7 @@ def image_folder(
         truth=trajectories[0],
         odometry=trajectories[1],
         files=tuple(read),
+        warnings=tuple(told),
     )
 
 

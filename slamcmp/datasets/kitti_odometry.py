@@ -23,6 +23,7 @@ from slamcmp.datasets.folders import (
     text_rows,
 )
 from slamcmp.datasets.recording import Recording, image_source
+from slamcmp.datasets.time_stamps import TimeUnit, in_seconds
 from slamcmp.datasets.trajectories import read_kitti_poses
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse
@@ -48,12 +49,14 @@ def kitti_odometry(
     folder: str,
     camera: Literal["mono", "stereo"] = "mono",
     poses: str | None = None,
+    time_unit: TimeUnit = "auto",
 ) -> Recording:
     """A KITTI odometry sequence: grey images of a car's drive, with poses.
 
     ``folder`` is the sequence's (``sequences/06``), here or under ``SLAMCMP_DATA``; ``poses`` a file of its
     poses, found by itself in the published layout. The body is at the left camera with x forward, y left,
-    z up; the world is the body at the sequence's first image. Without ``times.txt`` frames are 0.1 s apart.
+    z up; the world is the body at the sequence's first image. Without ``times.txt``, whose stamps are in
+    ``time_unit``, frames are 0.1 s apart.
 
     Raises:
         MissingDataError: no such folder, calibration or images.
@@ -75,13 +78,15 @@ def kitti_odometry(
     size = first_size(files)
     require_fit(model, size, str(calibration))
     read = [calibration]
-    warnings = []
+    warnings: list[str] = []
 
     times = root / "times.txt"
     t: FloatArray = np.array(frames) * PERIOD_S
     if times.is_file():
         read.append(times)
-        stamps = number_table(times, 1)[:, 0]
+        stamps = in_seconds(
+            times, number_table(times, 1)[:, 0], time_unit, parameter="time_unit", told=warnings
+        )
         t = _rows(times, stamps, frames)
     else:
         warnings.append(f"{root} has no times.txt: frames are taken to be {PERIOD_S} s apart")

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Gt
 
 from slamcmp.datasets.camera_frames import DepthFormat, FrameFiles, RecordedFrames, require_size
 from slamcmp.datasets.folders import find_folder, numbers, require_file, text_rows
@@ -19,7 +20,8 @@ from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, undistort
 from slamcmp.datasets.text import read_text
-from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
+from slamcmp.datasets.time_stamps import TimeUnit, in_seconds
+from slamcmp.datasets.trajectories import MAX_GAP_S, poses_at, read_tum_trajectory
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera
@@ -44,13 +46,21 @@ INTRINSICS = {
 
 @image_source("tum_rgbd", paths=("folder",), speed_sigma_m_s=0.5, turn_sigma_deg_s=60.0)
 def tum_rgbd(
-    *, folder: str, camera: Literal["rgbd", "mono"] = "rgbd", calibration: Calibration = "auto"
+    *,
+    folder: str,
+    camera: Literal["rgbd", "mono"] = "rgbd",
+    calibration: Calibration = "auto",
+    time_unit: TimeUnit = "auto",
+    pair_within_s: Annotated[float, Gt(0)] = MAX_DELAY_S,
+    max_gap_s: Annotated[float, Gt(0)] = MAX_GAP_S,
 ) -> Recording:
     """A TUM RGB-D sequence: colour and depth images from a camera in the hand, with poses.
 
     ``folder`` holds ``rgb.txt``, here or under ``SLAMCMP_DATA``. The ``calibration`` ``auto`` is that of the
     Kinect which the sequence's name tells. The body is at the colour camera with x forward, y left, z up;
     the world is the motion capture's, z up. Lens distortion is removed from both images.
+    A colour image is paired with the depth image nearest in time, at most ``pair_within_s`` away; poses are
+    interpolated between two that are at most ``max_gap_s`` apart. ``time_unit`` is that of all stamps.
 
     Raises:
         MissingDataError: no such folder or lists.
@@ -58,7 +68,10 @@ def tum_rgbd(
     """
     root = find_folder(folder, what="a TUM RGB-D sequence", origin=ORIGIN)
     with_depth = camera == "rgbd"
-    t, files, read, warnings = _pairs(root) if with_depth else _colour(root)
+    t, files, read, warnings = (
+        _pairs(root, time_unit, pair_within_s) if with_depth else _colour(root, time_unit)
+    )
+    told: list[str] = []
     chosen, doubt = (calibration, ()) if calibration != "auto" else _guessed(root)
     fx, fy, cx, cy, distortion = INTRINSICS[chosen]
     require_size(files, SIZE, f"calibration {chosen}")
@@ -70,7 +83,8 @@ def tum_rgbd(
     poses = root / "groundtruth.txt"
     if poses.is_file():
         read.append(poses)
-        truth = poses_at(t, *read_tum_trajectory(poses)) @ inverse(FORWARD_CAMERA)
+        stamps, T = read_tum_trajectory(poses, time_unit=time_unit, told=told)
+        truth = poses_at(t, stamps, T, max_gap_s=max_gap_s) @ inverse(FORWARD_CAMERA)
     depth = DEPTH if with_depth else None
     images = RecordedFrames(files, SIZE, remap, depth_format=depth, depth_remap=remap)
     return Recording(
@@ -80,50 +94,63 @@ def tum_rgbd(
         model,
         truth,
         files=tuple(read),
-        warnings=(*warnings, *doubt),
+        warnings=(*warnings, *doubt, *told),
     )
 
 
 Listing = tuple[FloatArray, tuple[FrameFiles, ...], list[Path], tuple[str, ...]]
 
 
-def _colour(root: Path) -> Listing:
+def _colour(root: Path, unit: TimeUnit) -> Listing:
     path = require_file(root / "rgb.txt", "the time stamps and names of the colour images")
-    t, names = _list(path)
+    t, names = _list(path, unit)
     return t, tuple(FrameFiles(root / name) for name in names), [path], ()
 
 
-def _pairs(root: Path) -> Listing:
+def _pairs(root: Path, unit: TimeUnit, pair_within_s: float) -> Listing:
     """Colour images, each with the depth image nearest in time."""
     known = root / "associations.txt"
     if known.is_file():
         rows = text_rows(known, 4)
         if not rows:
             raise DataError(f"{known}: names no pair of images")
-        t = np.array([numbers(where, fields[:1])[0] for where, fields in rows])
+        t = _stamps(known, rows, unit)
         files = tuple(FrameFiles(root / fields[1], depth=root / fields[3]) for _, fields in rows)
         return t, files, [known], ()
     colour = require_file(root / "rgb.txt", "the time stamps and names of the colour images")
     depth = require_file(root / "depth.txt", "the time stamps and names of the depth images")
-    t, names = _list(colour)
-    t_depth, depth_names = _list(depth)
+    t, names = _list(colour, unit)
+    t_depth, depth_names = _list(depth, unit)
     nearest, delays = nearest_in_time(t, t_depth)
-    paired = delays <= MAX_DELAY_S
+    paired = delays <= pair_within_s
+    if not paired.any():
+        raise DataError(
+            f"{depth}: no depth image is within pair_within_s ({pair_within_s:g} s) of a colour image; "
+            "the nearest "
+            f"is {delays.min():.3g} s away: other clocks, or a wrong time_unit?"
+        )
     files = tuple(
         FrameFiles(root / names[k], depth=root / depth_names[nearest[k]]) for k in np.flatnonzero(paired)
     )
     lost = int((~paired).sum())
     warnings = (
-        (f"left out {lost} colour image(s) without a depth image within {MAX_DELAY_S} s",) if lost else ()
+        (f"left out {lost} colour image(s) without a depth image within {pair_within_s:g} s (pair_within_s)",)
+        if lost
+        else ()
     )
     return t[paired], files, [colour, depth], warnings
 
 
-def _list(path: Path) -> tuple[FloatArray, list[str]]:
+def _list(path: Path, unit: TimeUnit) -> tuple[FloatArray, list[str]]:
     rows = text_rows(path, 2)
     if not rows:
         raise DataError(f"{path}: names no image")
-    return np.array([numbers(where, fields[:1])[0] for where, fields in rows]), [f[1] for _, f in rows]
+    return _stamps(path, rows, unit), [fields[1] for _, fields in rows]
+
+
+def _stamps(path: Path, rows: list[tuple[str, list[str]]], unit: TimeUnit) -> FloatArray:
+    t = np.array([numbers(where, fields[:1])[0] for where, fields in rows])
+    return in_seconds(path, t, unit, parameter="time_unit")
 
 
 def _guessed(root: Path) -> tuple[Calibration, tuple[str, ...]]:

@@ -123,7 +123,7 @@ def test_tum_leaves_out_what_has_no_truth_or_no_depth(tum: Path) -> None:
     np.testing.assert_allclose(log.images[0].depth_m, 2.0)
     assert log.problem.sensor.fx_px == 535.4
     assert log.warnings == (
-        "left out 1 colour image(s) without a depth image within 0.02 s",
+        "left out 1 colour image(s) without a depth image within 0.02 s (pair_within_s)",
         "left out 3 frame(s) without ground truth: 10.6.png, 10.7.png, 10.8.png",
         "1 gap(s) in time: 0.4 s before frame 5 (10.9.png); usual is 0.1 s",
     )
@@ -237,7 +237,7 @@ def test_what_is_wrong_with_a_flight(flight: Path) -> None:
     (mav / "cam1" / "data.csv").write_text("".join(lines[:2] + lines[3:]))
     log = euroc(0, folder=str(flight))
     assert log.t.size == 3
-    assert log.warnings == ("left out 1 left image(s) without a right one within 2 ms",)
+    assert log.warnings == ("left out 1 left image(s) without a right one within 0.002 s (pair_within_s)",)
     sheet = mav / "cam1" / "sensor.yaml"
     for old, new, message in (
         (
