@@ -29,6 +29,8 @@ from slamcmp.models.camera import MonoCamera, StereoCamera
 from slamcmp.types import FloatArray
 
 ORIGIN = "http://robotics.ethz.ch/~asl-datasets/ijrr_euroc_mav_dataset/ (the ASL format)"
+TRUTH_SIGMA = 0.002
+"""Of the tracked poses, per axis [rad, m]: millimetres, of markers some decimetres apart."""
 MAX_DELAY_S = 0.002
 """Between the two images of a pair; the cameras are triggered together."""
 
@@ -90,7 +92,9 @@ def euroc(
         read.append(poses)
         truth = poses_at(t, *_truth(poses, origin), max_gap_s=max_gap_s)
     name = f"euroc_{mav.resolve().parent.name}"
-    return Recording(name, t, images, model, truth, files=tuple(read), warnings=warnings)
+    return Recording(
+        name, t, images, model, truth, files=tuple(read), warnings=warnings, truth_sigma=TRUTH_SIGMA
+    )
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, StereoCamera
 from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.cvlibs.net/datasets/kitti/eval_odometry.php (grey images, calibration, poses)"
+TRUTH_SIGMA = 0.002
+"""Of a pose, per axis [rad, m]: the car's unit resolves 0.1° (Geiger, Lenz and Urtasun 2012, section 2.1)."""
 PERIOD_S = 0.1
 """Between frames, nominally."""
 
@@ -99,7 +101,14 @@ def kitti_odometry(
         truth = FORWARD_CAMERA @ T_camera @ inverse(FORWARD_CAMERA)
     name = f"kitti_{root.resolve().name}"
     return Recording(
-        name, t, RecordedFrames(files, size), model, truth, files=tuple(read), warnings=tuple(warnings)
+        name,
+        t,
+        RecordedFrames(files, size),
+        model,
+        truth,
+        files=tuple(read),
+        warnings=tuple(warnings),
+        truth_sigma=TRUTH_SIGMA,
     )
 
 

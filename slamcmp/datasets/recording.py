@@ -29,6 +29,8 @@ AnyCamera = MonoCamera | StereoCamera | RgbdCamera
 
 _GAP = 2.5
 """Times the median step: at one lost frame it is 2, which every recording has."""
+_OWN_WORLD = 1e-6
+"""Deviation of a first pose that defines the world, per axis [rad, m]; smoothers need more than zero."""
 _NAMED = 3
 """Frames that a warning names; the rest it counts."""
 
@@ -49,6 +51,8 @@ class Recording:
     files: tuple[Path, ...] = ()
     """What was read beside the images."""
     warnings: tuple[str, ...] = ()
+    truth_sigma: float = 0.01
+    """How well the true poses are known themselves, per axis [rad, m]: they were tracked, not given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +68,7 @@ class RecordingSettings:
     rotation_sigma_deg: Annotated[float, Gt(0)] = 0.2
     speed_sigma_m_s: Annotated[float, Gt(0)] = 1.0
     turn_sigma_deg_s: Annotated[float, Gt(0)] = 45.0
-    prior_sigma: NotNegative = 1e-6
+    prior_sigma: NotNegative | None = None
 
 
 def setting_docs() -> dict[str, str]:
@@ -79,7 +83,7 @@ def setting_docs() -> dict[str, str]:
         "rotation_sigma_deg": "Of the odometry, a step of usual length, per axis",
         "speed_sigma_m_s": "Of constant_position: how fast the body may move",
         "turn_sigma_deg_s": "Of constant_position: how fast the body may turn",
-        "prior_sigma": "Of the first pose, per axis [rad, m]",
+        "prior_sigma": "Of the first pose, per axis [rad, m]; by default the truth's own, 1e-6 without truth",
     }
 
 
@@ -177,6 +181,7 @@ def _selected(recording: Recording, settings: RecordingSettings) -> Recording:
         None if recording.odometry is None else recording.odometry[kept],
         recording.files,
         (*recording.warnings, *chosen.warnings, *_gaps(t, names)),
+        recording.truth_sigma,
     )
 
 
@@ -213,12 +218,16 @@ def _log(recording: Recording, settings: RecordingSettings, generator: np.random
     nothing = Detections(np.empty((0, dim)), np.empty((0, dim, dim)), np.empty(0, np.int64))
     truth = None
     start = np.eye(4)
+    # Where nothing tells a pose, the first one is the world.
+    sigma = _OWN_WORLD if recording.truth is None else recording.truth_sigma
+    if settings.prior_sigma is not None:
+        sigma = settings.prior_sigma
     if recording.truth is not None:
         start = recording.truth[0]
         truth = GroundTruth(recording.t, recording.truth, np.empty(0, np.int64), np.empty((0, 3)))
     return Log(
         recording.name,
-        Problem(start, settings.prior_sigma**2 * np.eye(6), recording.camera),
+        Problem(start, sigma**2 * np.eye(6), recording.camera),
         recording.t,
         increments,
         covariances,

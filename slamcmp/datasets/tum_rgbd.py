@@ -32,6 +32,8 @@ Calibration = Literal["auto", "freiburg1", "freiburg2", "freiburg3", "ros_defaul
 ORIGIN = "https://cvg.cit.tum.de/data/datasets/rgbd-dataset/download"
 SIZE = (640, 480)
 DEPTH = DepthFormat(5000.0)
+TRUTH_SIGMA = 0.01
+"""Of the motion capture over its whole area [m], and what half a degree is [rad] (Sturm et al. 2012)."""
 MAX_DELAY_S = 0.02
 """Between the two images of a pair."""
 
@@ -95,6 +97,7 @@ def tum_rgbd(
         truth,
         files=tuple(read),
         warnings=(*warnings, *doubt, *told),
+        truth_sigma=TRUTH_SIGMA,
     )
 
 

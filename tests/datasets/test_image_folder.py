@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +153,23 @@ def test_truth_and_recorded_odometry_are_the_bodys(tmp_path: Path) -> None:
     later = log_of(folder, odometry="recorded", **{**parameters, "rate_hz": 10.0})
     assert len(later.t) == 5
     assert later.warnings == ("left out 1 frame(s) without ground truth: 005.png",)
+
+
+def test_the_first_pose_is_as_uncertain_as_the_truth_that_tells_it(tmp_path: Path) -> None:
+    """Tracked poses err by a centimetre: fixed to the first, every good estimate would look too sure."""
+    folder = write_folder(tmp_path)
+    np.testing.assert_allclose(log_of(folder).problem.P, 1e-12 * np.eye(6))
+    poses = np.tile(np.eye(4), (6, 1, 1))
+    (folder / "truth.txt").write_text(_tum_lines(np.arange(6) / 10.0, poses), encoding="utf-8")
+    known = log_of(folder, truth="truth.txt", odometry="corrupted_truth")
+    np.testing.assert_allclose(known.problem.P, 1e-4 * np.eye(6))
+    given = log_of(folder, truth="truth.txt", odometry="corrupted_truth", prior_sigma=0.003)
+    np.testing.assert_allclose(given.problem.P, 9e-6 * np.eye(6))
+    kinect, car, flight = (
+        sources.get(name).target.__module__ for name in ("tum_rgbd", "kitti_odometry", "euroc")
+    )
+    stated = [import_module(name).TRUTH_SIGMA for name in (kinect, car, flight)]
+    assert stated == [0.01, 0.002, 0.002]
 
 
 def test_a_stereo_pair_with_distortion_becomes_one_rectified_camera(tmp_path: Path) -> None:

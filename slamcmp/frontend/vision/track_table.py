@@ -18,6 +18,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.frontend.vision.error_correlation import LAGS
 from slamcmp.geometry import exp, inverse, transform
 from slamcmp.models.camera import Camera, StereoCamera
 from slamcmp.models.sensors import body_point_jacobians
@@ -50,6 +51,8 @@ class TrackTable:
     """(T, VIEWS, 2), the first sighting, then the latest ones up to the last."""
     view_back: IntArray
     """How many images ago each was taken, (T, VIEWS); -1 where there is none."""
+    innovation: FloatArray
+    """Of the latest sightings in a row over their deviations, newest first, (T, LAGS, 3); NaN: none."""
 
     @classmethod
     def empty(cls) -> TrackTable:
@@ -73,6 +76,7 @@ class TrackTable:
             np.zeros((count, 3, 3)),
             view_pixel,
             view_back,
+            np.full((count, LAGS, 3), np.nan),
         )
 
     def __len__(self) -> int:
@@ -138,17 +142,34 @@ class TrackTable:
         squared: FloatArray = (y * np.linalg.solve(S + R, y[:, :, None])[:, :, 0]).sum(axis=1)
         return squared
 
-    def correct(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> None:
-        """The Kalman update of each row with its measurement."""
+    def correct(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> FloatArray:
+        """The Kalman update of each row with its measurement; innovations over their deviations, (m, d)."""
         if not rows.size:
-            return
+            return np.empty((0, camera.dim))
         predicted, H = camera.linearise_in_body(self.q[rows])
         C, H_t = self.C[rows], np.swapaxes(H, 1, 2)
-        K = C @ H_t @ np.linalg.inv(H @ C @ H_t + R)
-        self.q[rows] += (K @ camera.residual(z, predicted)[:, :, None])[:, :, 0]
+        S = H @ C @ H_t + R
+        K = C @ H_t @ np.linalg.inv(S)
+        y = camera.residual(z, predicted)
+        self.q[rows] += (K @ y[:, :, None])[:, :, 0]
         # Joseph form: symmetric and positive over thousands of sightings.
         A = np.eye(3) - K @ H
         self.C[rows] = A @ C @ np.swapaxes(A, 1, 2) + K @ R @ np.swapaxes(K, 1, 2)
+        over: FloatArray = y / np.sqrt(np.diagonal(S, axis1=1, axis2=2))
+        return over
+
+    def note_innovations(self, rows: IntArray, latest: FloatArray) -> FloatArray:
+        """Put innovations (m, d) on top of the rows' lists; those before them, (m, LAGS, d).
+
+        A track that was out of sight in between begins anew. To be called before :meth:`see`.
+        """
+        lists = self.innovation[rows]
+        lists[self.age[rows] > 1] = np.nan
+        d = latest.shape[1]
+        self.innovation[rows, 1:] = lists[:, :-1]
+        self.innovation[rows, 0] = np.nan
+        self.innovation[rows, 0, :d] = latest
+        return lists[:, :, :d]
 
     def see(self, rows: IntArray, descriptor: NDArray[np.uint8], pixel: FloatArray) -> None:
         """Note a sighting of each row in the present image."""

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from slamcmp.errors import UsageError
 from slamcmp.frontend.vision.common_motion import common_motion
 from slamcmp.frontend.vision.epipolar_test import epipolar_test
+from slamcmp.frontend.vision.error_correlation import SETTLED, ErrorCorrelation
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.matching import match_descriptors
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
@@ -122,6 +123,7 @@ class FeatureTracker:
         )
         self._tracks = TrackTable.empty()
         self._history = PoseHistory(_HISTORY)
+        self._correlation = ErrorCorrelation()
         self._since_image = np.eye(4), np.zeros((6, 6))
         self._gap = 0
         """Frames since the last image that could be used."""
@@ -182,7 +184,9 @@ class FeatureTracker:
             new, new_rows = new[:0], new_rows[:0]
         seen, seen_rows = np.concatenate([chosen[kept], new]), np.concatenate([rows[kept], new_rows])
         self._name(seen_rows)
-        detections = Detections(measured.z[seen], measured.R[seen], tracks.id[seen_rows])
+        # The tests above judge one image at a time; a back end adds up what repeats itself.
+        R = self._correlation.factor * measured.R[seen]
+        detections = Detections(measured.z[seen], R, tracks.id[seen_rows])
         self._forget()
         self._gap = 0
         self._since_image = np.eye(4), np.zeros((6, 6))
@@ -298,7 +302,11 @@ class FeatureTracker:
         tracks, settings = self._tracks, self._settings
         placed, valid = tracks.placed[rows], measured.valid[chosen]
         whole, pixel_only = placed & valid, placed & ~valid
-        tracks.correct(rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]])
+        latest = tracks.correct(
+            rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]]
+        )
+        latest[tracks.sightings[rows[whole]] < SETTLED] = np.nan
+        self._correlation.learn(latest, tracks.note_innovations(rows[whole], latest))
         R = np.broadcast_to(settings.sigma_px**2 * np.eye(2), (int(pixel_only.sum()), 2, 2))
         tracks.correct(rows[pixel_only], self._image_camera, features.xy[chosen[pixel_only]], R)
         tracks.see(rows, features.descriptors[chosen], features.xy[chosen])
