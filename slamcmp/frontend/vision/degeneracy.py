@@ -18,6 +18,7 @@ import numpy as np
 
 from slamcmp.errors import UsageError
 from slamcmp.frontend.vision import fundamental
+from slamcmp.frontend.vision.significance import chance_at_point, chance_on_line, significant
 from slamcmp.types import BoolArray, FloatArray
 
 Method = Literal["magsac", "ransac", "least_squares"]
@@ -39,7 +40,9 @@ class Geometry(StrEnum):
     COLLINEAR = "collinear"
     """All points lie on one line of the image."""
     TOO_FEW = "too_few"
-    """Fewer than eight distinct matches, or fewer than eight agree."""
+    """Fewer than eight distinct matches."""
+    CHANCE = "chance"
+    """As many agree as would of matches that have nothing to do with each other."""
     NOT_FINITE = "not_finite"
     """Fewer than eight matches are left without those that are NaN or infinite."""
 
@@ -50,7 +53,7 @@ class Verification:
 
     geometry: Geometry
     inliers: BoolArray
-    """(m,); none for COLLINEAR, TOO_FEW and NOT_FINITE."""
+    """(m,); none for COLLINEAR, TOO_FEW, CHANCE and NOT_FINITE."""
     F: FloatArray | None = None
     """(3, 3) with x2ᵀ F x1 = 0, only for EPIPOLAR."""
     H: FloatArray | None = None
@@ -64,6 +67,7 @@ _HOMOGRAPHY_FACTOR = 2.0
 """On the threshold, for the distance in the second image: √2, since noise of both images adds up there, times
 √(9.21 / 6.63), since it has two degrees of freedom where Sampson's has one, is 1.67; the rest keeps a
 threshold that is tight for the noise from reading depth out of it."""
+_HOMOGRAPHY_SAMPLE = 4
 _OFF_MODEL_SHARE = 0.05
 """F is determined if more than this share of its inliers (and more than eight) contradict the homography:
 an F fitted around a homography is free to pick up that many wrong matches."""
@@ -119,12 +123,12 @@ def verify_matches(
     agree = int(fit.inliers.sum())
     off_plane = int((fit.inliers & ~on_plane).sum())
     if H is not None and off_plane <= max(fundamental.SAMPLE, _OFF_MODEL_SHARE * agree):
-        if on_plane.sum() < fundamental.SAMPLE:
-            return answer(Geometry.TOO_FEW, none, iterations=fit.iterations)
+        if not _more_than_chance(one, two, on_plane, threshold_px, plane=True):
+            return answer(Geometry.CHANCE, none, iterations=fit.iterations)
         geometry = _which_homography(one[on_plane], two[on_plane], K, _HOMOGRAPHY_FACTOR * threshold_px)
         return answer(geometry, on_plane, H=H, iterations=fit.iterations)
-    if fit.F is None or agree < fundamental.SAMPLE:
-        return answer(Geometry.TOO_FEW, none, iterations=fit.iterations)
+    if fit.F is None or not _more_than_chance(one, two, fit.inliers, threshold_px):
+        return answer(Geometry.CHANCE, none, iterations=fit.iterations)
     return answer(Geometry.EPIPOLAR, fit.inliers, F=fit.F, iterations=fit.iterations)
 
 
@@ -169,6 +173,19 @@ def _homography(
         return None, np.zeros(len(first), dtype=bool)
     H = np.asarray(H, dtype=np.float64)
     return H, transfer_distance(H, first, second) <= threshold_px
+
+
+def _more_than_chance(
+    first: FloatArray, second: FloatArray, inliers: BoolArray, threshold_px: float, *, plane: bool = False
+) -> bool:
+    if plane:
+        radius = _HOMOGRAPHY_FACTOR * threshold_px
+        sample, probability = _HOMOGRAPHY_SAMPLE, chance_at_point(first, second, radius)
+    else:
+        sample, probability = fundamental.SAMPLE, chance_on_line(first, second, threshold_px)
+    return significant(
+        first, second, inliers, sample=sample, probability=probability, cell_px=max(threshold_px, 1.0)
+    )
 
 
 def _which_homography(

@@ -45,12 +45,15 @@ class ErrorCorrelation:
     def learn(self, latest: FloatArray, before: FloatArray) -> None:
         """Take in the innovations (m, d) of one image, and those of the same tracks before, (m, LAGS, d).
 
-        Newest first; NaN where there is none.
+        Newest first; all of one is NaN where there is none.
         """
-        products = latest[:, None, :] * np.concatenate([latest[:, None, :], before], axis=1)
-        known = np.isfinite(products)
-        self._sums += np.where(known, products, 0.0).sum(axis=(0, 2))
-        self._counts += known.sum(axis=(0, 2))
+        now, then = np.isfinite(latest[:, 0]), np.isfinite(before[:, :, 0])
+        latest = np.where(now[:, None], latest, 0.0)
+        before = np.where(then[:, :, None], before, 0.0)
+        self._sums[0] += (latest * latest).sum()
+        self._sums[1:] += np.einsum("md,mld->l", latest, before)
+        self._counts[0] += latest.shape[1] * now.sum()
+        self._counts[1:] += latest.shape[1] * (now @ then.astype(np.float64))
 
     @property
     def means(self) -> FloatArray:

@@ -34,7 +34,8 @@ SAYING = {
     "plane_or_rotation": "a plane or a pure rotation: matches judged by a homography",
     "no_motion": "no motion between the images",
     "collinear": "points on one line: nothing can be judged",
-    "too_few": "too few matches that agree: nothing can be judged",
+    "too_few": "fewer than eight distinct matches: nothing can be judged",
+    "chance": "no more matches agree than chance explains: nothing can be judged",
     "not_finite": "matches that are not finite: nothing can be judged",
 }
 """For each of ``frontend.vision.degeneracy.Geometry``."""
