@@ -6,12 +6,15 @@ is listed as such, and no other number may be left. A difference that a page spe
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from slamcmp.results.numbers import number_text
+from tests.anchors.reference import read
 from tests.quoted import Quoted
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -56,8 +59,72 @@ def from_filter_to_smoother() -> Iterator[str]:
     yield f"takes full smoothing's error to {hindsight} of its own online error"
 
 
-MEASURED = {"from-filter-to-smoother.md": from_filter_to_smoother}
+def consistency() -> Iterator[str]:
+    low, high = (Quoted("filter_vs_smoother", {"source.noise_scale": scale}) for scale in (0.5, 4.0))
+    yield f"has {low.times('EKF', 'iSAM2', ATE, differs=False)} iSAM2's error"
+    yield f"and {low.times('EKF', 'iSAM2', NEES, differs=False)} its NEES"
+    nees, beside = high.median("EKF", NEES), high.median("iSAM2", NEES)
+    yield f"({nees} at four times the noise, where iSAM2 stays at {beside})"
+    yield f"{high.times('EKF', 'iSAM2', NEES, differs=True)} iSAM2's NEES"
+    yield f"and {high.times('EKF', 'iSAM2', ATE, differs=True)} its error"
+    assert high.median("EKF", "nis_per_dof") == low.median("EKF", "nis_per_dof") == "1.01"
+    yield "NIS per degree of freedom is 1.01"
+
+    seen = Quoted("observability")
+    three = ("ideal EKF", "FEJ EKF", "OC EKF", "right-invariant EKF", "robocentric EKF")
+    nullity = dict.fromkeys((*three, "window 10 FEJ", "batch"), 3)
+    nullity |= dict.fromkeys(("EKF", "iterated EKF", "UKF", "window 10"), 2) | {"EKF body error": 0}
+    turn, drift, kl = "spurious_turn_per_rad2", "linearisation_drift", "kl_from_batch_median"
+    for label, directions in nullity.items():
+        assert (seen.of(label, "nullity") == directions).all(), label
+        assert directions < 3 or (seen.of(label, turn) < 1e-21).all(), label
+    for label, text in (("EKF", "a compass of {}° that"), ("window 10", "in one of {}°")):
+        yield text.format(number_text(math.degrees(seen.of(label, turn).median() ** -0.5)))
+    yield f"({seen.times('window 10', 'EKF', turn, differs=True)} the EKF's information"
+    yield "(below 1e-21 rad⁻²)"
+    yield f"which lie {seen.median('FEJ EKF', drift)} m"
+    yield f"keeps them at {seen.median('right-invariant EKF', drift)} m"
+    yield f"(FEJ: {seen.times('FEJ EKF', 'right-invariant EKF', drift, differs=True)} as"
+    for name, label, differs in (
+        ("window of ten poses", "window 10", True),
+        ("right-invariant EKF", "right-invariant EKF", True),
+        ("iterated EKF", "iterated EKF", False),
+        ("FEJ-EKF", "FEJ EKF", True),
+    ):
+        ratio = seen.times(label, "EKF", kl, differs=differs).replace(" times", "")
+        yield f"| {name} | {seen.median(label, kl)} nat | {ratio} |"
+    yield f"| EKF | {seen.median('EKF', kl)} nat |"
+    yield f"({seen.times('window 10', 'right-invariant EKF', kl, differs=False)})"
+
+    published = {(value["label"], value["metric"]): value for value in read("anchors_p1")["values"]}
+    for label in ("EKF", "right-invariant EKF"):
+        cells = []
+        for metric, unit, digits in (
+            ("ensemble_heading_rmse_deg", "°", 2),
+            ("ensemble_position_rmse", " m", 3),
+            ("ensemble_nees_heading", "", 2),
+            ("ensemble_nees_position", "", 2),
+        ):
+            value = published[label, metric]
+            assert value["verdict"] == "inside"
+            assert value["measured"] < value["published"]
+            assert value["tolerance"] == (0.25 if "nees" in metric else 0.15)
+            cells.append(f"{value['measured']:.{digits}f}{unit} ({value['published']:g})")
+        yield f"| {label} | {' | '.join(cells)} |"
+    yield f"over {read('anchors_p1')['seeds']} runs"
+
+
+MEASURED = {"consistency.md": consistency, "from-filter-to-smoother.md": from_filter_to_smoother}
 STATED = {
+    "consistency.md": (
+        "(3 in the plane, 6 in space)",
+        "20 paired seeds at four noise levels",
+        "6 paired seeds",
+        "with the 95 % interval",
+        "Where that holds 1,",
+        "leaves 3",
+        "(15 % on errors, 25 % on NEES)",
+    ),
     "from-filter-to-smoother.md": (
         "12 paired seeds",
         "with the 95 % interval",

@@ -187,6 +187,7 @@ def test_an_order_is_judged_on_seeds_that_both_finished() -> None:
     [
         (1.1 * RUNS, 1.2 * RUNS, "held", "best < middle < last"),
         (RUNS * NEARLY, 1.5 * RUNS, "tie", "best = middle < last"),
+        (0.999 * RUNS * NEARLY, 1.5 * RUNS, "tie", "best = middle < last"),
         (1.2 * RUNS, 1.2 * RUNS * NEARLY, "tie", "best < middle = last"),
         (0.9 * RUNS, 1.2 * RUNS, "violated", "best > middle < last"),
         (1.2 * RUNS, 1.1 * RUNS, "violated", "best < middle > last"),

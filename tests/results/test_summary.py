@@ -92,6 +92,7 @@ def test_pairs_are_seeds_that_both_finished_at_one_grid_point() -> None:
     assert online["t test p"] == pytest.approx(test.pvalue)
     low, high = np.exp(test.confidence_interval(0.95))
     assert online["95 % of it"] == f"{number_text(low)} to {number_text(high)}"
+    assert online["95 % of the ratio"] == f"{number_text(min(ratios))} to {number_text(max(ratios))}"
     differences = ratios * ERRORS[:7] - ERRORS[:7]
     assert online["median difference [m]"] == pytest.approx(np.median(differences))
     assert (online["better in"], online["sign test p"]) == (0, pytest.approx(2 / 2**7))
