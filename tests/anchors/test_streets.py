@@ -9,15 +9,12 @@ import pytest
 from tests.anchors.shipped import measured, verdict_of
 
 
-def check(found: dict[str, dict[str, float]], nees: float, odometry: float, hidden: float) -> None:
-    """At least: the EKF's NEES, odometry's error over the EKF's, and the factor by which alignment raises the
-    EKF's error over the batch's."""
+def check(found: dict[str, dict[str, float]], nees: float, odometry: float, left: float) -> None:
+    """At least: the EKF's NEES and odometry's error over the EKF's; at most: the share of the EKF's error that
+    alignment leaves. All online, as a filter's columns are."""
     assert found["online_pose_nees"]["EKF"] > nees
     assert found["online_ate"]["odometry"] > odometry * found["online_ate"]["EKF"]
-    raw = found["online_ate"]["EKF"] / found["final_ate"]["batch"]
-    aligned = found["online_ate_aligned"]["EKF"] / found["final_ate_aligned"]["batch"]
-    assert raw > 1.0
-    assert aligned > hidden * raw
+    assert found["online_ate_aligned"]["EKF"] < left * found["online_ate"]["EKF"]
 
 
 def test_p7_in_a_short_drive(tmp_path: Path) -> None:
@@ -26,7 +23,7 @@ def test_p7_in_a_short_drive(tmp_path: Path) -> None:
     found = measured(verdict)
     assert found["chi2_per_dof"]["batch"] == pytest.approx(1.0, abs=0.075)
     assert found["nis_per_dof"]["EKF"] == pytest.approx(1.0, abs=0.075)
-    check(found, nees=6.0, odometry=3.0, hidden=1.5)
+    check(found, nees=6.0, odometry=3.0, left=0.75)
 
 
 @pytest.mark.slow
@@ -36,5 +33,5 @@ def test_p7_over_ten_thousand_steps(tmp_path: Path) -> None:
         assert value.verdict in ("inside", "not judged"), value
     for order in verdict.orders:
         # Of fewer than 20 towns no interval is told.
-        assert order.verdict in ("held", "too few runs"), order
-    check(measured(verdict), nees=9.0, odometry=5.0, hidden=1.5)
+        assert order.verdict in ("tie", "too few runs"), order
+    check(measured(verdict), nees=9.0, odometry=5.0, left=0.75)
