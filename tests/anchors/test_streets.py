@@ -10,8 +10,8 @@ from tests.anchors.shipped import measured, verdict_of
 
 
 def check(found: dict[str, dict[str, float]], nees: float, odometry: float, left: float) -> None:
-    """At least: the EKF's NEES and odometry's error over the EKF's; at most: the share of the EKF's error that
-    alignment leaves. All online, as a filter's columns are."""
+    """At least: the EKF's NEES and odometry's error over the EKF's; at most: the share of the EKF's error
+    that alignment leaves. All online, as a filter's columns are."""
     assert found["online_pose_nees"]["EKF"] > nees
     assert found["online_ate"]["odometry"] > odometry * found["online_ate"]["EKF"]
     assert found["online_ate_aligned"]["EKF"] < left * found["online_ate"]["EKF"]

@@ -16,6 +16,7 @@ from slamcmp.metrics.information import (
     posterior_difference,
     posterior_kl,
 )
+from slamcmp.results.posteriors import Posterior, kl_series
 from slamcmp.types import Landmarks
 
 
@@ -84,6 +85,21 @@ def test_posteriors_are_compared_on_the_landmarks_they_share() -> None:
     value = posterior_kl(T, ours, joint, T_reference, theirs, joint_reference)
     assert value == pytest.approx(expected, rel=1e-14)
     assert posterior_kl(T, ours, joint, T, ours, joint) == pytest.approx(0.0, abs=1e-13)
+
+
+def test_beliefs_are_compared_at_equal_frames() -> None:
+    """Frames 1 and 3 are known to both; what lies beyond the log, or is singular, has no value."""
+    landmarks = Landmarks(np.array([7]), np.zeros((1, 2)), np.eye(2)[None])
+
+    def at(k: int, variance: float) -> Posterior:
+        return Posterior(k, np.eye(3), landmarks, variance * np.eye(5))
+
+    own = [at(k, 1.0) for k in (1, 2, 3, 9)] + [at(0, 0.0)]
+    series = kl_series(own, [at(3, 4.0), at(1, 1.0), at(9, 1.0), at(0, 1.0)], 5)
+    assert np.isnan(series[[0, 2, 4]]).all()
+    assert series[1] == pytest.approx(0.0, abs=1e-14)
+    # Five times ½ (1/4 - 1 + ln 4), and not the other way round.
+    assert series[3] == pytest.approx(2.5 * (math.log(4) - 0.75), rel=1e-13)
 
 
 def test_drift_of_poses_and_landmarks() -> None:

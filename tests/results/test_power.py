@@ -116,6 +116,17 @@ def test_simulation_agrees_with_the_normal_limit_on_a_normal_pilot() -> None:
     assert simulated_paired_seeds(sample, 0.5) == simulated_paired_seeds(sample, 0.5)
 
 
+def test_the_simulation_keeps_the_pilots_spread_and_not_its_mean() -> None:
+    """A pilot that happened to differ by a lot says nothing about the difference that shall be seen."""
+    sample = np.random.default_rng(4).normal(size=200)
+    moved = simulated_paired_seeds(sample + 5.0, 0.5)
+    assert (
+        moved == simulated_paired_seeds(sample, 0.5) == pytest.approx(paired_seeds(sample.std(), 0.5), abs=3)
+    )
+    apart = simulated_unpaired_seeds(sample, sample[::-1] + 5.0, 0.5)
+    assert apart == simulated_unpaired_seeds(sample, sample[::-1], 0.5)
+
+
 def test_relative_difference_and_failed_runs(tmp_path: Path) -> None:
     results = pilot(tmp_path)
     trials = results.trials.copy()
