@@ -11,11 +11,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import slamcmp
 from slamcmp.cli.run import _blocks, print_table
+from slamcmp.datasets.graph_file import graph_file
+from slamcmp.frontend.labelled import labelled
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.results.store import load_results
 
@@ -228,6 +231,32 @@ def test_stream_is_saved_with_the_digest_of_the_run(tmp_path: Path) -> None:
         2,
         "slamcmp: --trial 2: the experiment has trials 0 to 1\n",
     )
+
+
+def test_a_stream_is_exported_and_read_back(tmp_path: Path) -> None:
+    """A stored one and one of an experiment give the same file; from it comes the same stream."""
+    (tmp_path / "mine.yaml").write_text(
+        "source: {name: victoria_park, steps: 60}\nback_ends: [{name: dead_reckoning}]\n"
+    )
+    told = call(tmp_path, "stream", "export", "mine.yaml", "one.g2o")
+    assert (told.returncode, told.stdout) == (0, "one.g2o: 60 poses, 43 observations (g2o)\n"), told.stderr
+    assert call(tmp_path, "stream", "save", "mine.yaml", "s.npz").returncode == 0
+    assert call(tmp_path, "stream", "export", "s.npz", "two.g2o", "--format", "g2o").returncode == 0
+    assert (tmp_path / "one.g2o").read_text() == (tmp_path / "two.g2o").read_text()
+    back = labelled(graph_file(path=str(tmp_path / "one.g2o")), 0, gate_probability=None)
+    for ours, theirs in zip(load_stream(tmp_path / "s.npz").frames, back.frames, strict=True):
+        order = np.argsort(ours.ids)
+        np.testing.assert_array_equal(theirs.ids, ours.ids[order])
+        np.testing.assert_allclose(theirs.z, ours.z[order], rtol=1e-12)
+        np.testing.assert_allclose(theirs.T_prev_body, ours.T_prev_body, rtol=1e-12, atol=1e-12)
+        assert theirs.t == ours.t
+    answer = call(tmp_path, "stream", "export", "s.npz", "no/where.g2o")
+    assert (answer.returncode, answer.stderr) == (
+        1,
+        "slamcmp: cannot write no/where.g2o: No such file or directory\n",
+    )
+    answer = call(tmp_path, "stream", "export", "rendered_room_mono", "room.g2o", "--trial", "999")
+    assert answer.returncode == 2
 
 
 def test_list_names_everything_and_shows_parameters(tmp_path: Path) -> None:

@@ -1,11 +1,21 @@
-"""``slamcmp stream save|info``."""
+"""``slamcmp stream save|info|export``."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from slamcmp.types import Log, MeasurementStream
+
+
+class Format(StrEnum):
+    """What a stream can be written as."""
+
+    g2o = "g2o"
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -17,6 +27,7 @@ def add_commands(app: typer.Typer) -> None:
     )
     stream.command(epilog="Example: slamcmp stream save victoria_park victoria_park.npz")(save)
     stream.command(epilog="Example: slamcmp stream info victoria_park.npz")(info)
+    stream.command(epilog="Example: slamcmp stream export victoria_park park.g2o")(export)
     app.add_typer(stream, name="stream")
 
 
@@ -26,21 +37,55 @@ def save(
     trial: Annotated[int, typer.Option(min=0, help="Which trial's stream.")] = 0,
 ) -> None:
     """Make the stream that every back end of a trial gets, and store it."""
+    from slamcmp.frontend.stream_file import save_stream
+
+    stream, _ = _made(config, trial)
+    save_stream(stream, out)
+    print(f"{out}: {len(stream.frames)} frames, digest {stream.digest}")
+
+
+def export(
+    stream: Annotated[
+        str, typer.Argument(help="Stored stream (.npz), experiment file, or shipped experiment.")
+    ],
+    out: Annotated[Path, typer.Argument(help="The file to write.")],
+    format: Annotated[
+        Format, typer.Option(help="g2o text, with landmarks, bearing-range edges and loop closures.")
+    ] = Format.g2o,
+    trial: Annotated[int, typer.Option(min=0, help="Which trial's stream, of an experiment.")] = 0,
+) -> None:
+    """Write a stream as text that other programs read; the source graph_file reads it back."""
+    from slamcmp.datasets.g2o_writer import write_g2o
+    from slamcmp.errors import StorageError
+    from slamcmp.frontend.stream_file import load_stream
+
+    log = None
+    if stream.endswith(".npz"):
+        measured = load_stream(Path(stream))
+    else:
+        measured, log = _made(stream, trial)
+    try:
+        write_g2o(out, measured, own_ids=None if log is None else log.own_ids)
+    except OSError as error:
+        raise StorageError(f"cannot write {out}: {error.strerror}") from error
+    seen = sum(frame.ids.size for frame in measured.frames)
+    print(f"{out}: {len(measured.frames)} poses, {seen} observations ({format.value})")
+
+
+def _made(config: str, trial: int) -> tuple[MeasurementStream, Log]:
+    """The stream of an experiment's trial, and its log."""
     from slamcmp.errors import UsageError
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.experiment.job.make_stream import make_stream
     from slamcmp.experiment.trials import make_trials
-    from slamcmp.frontend.stream_file import save_stream
 
     trials = make_trials(load_experiment(find_experiment(config)))
     if trial >= len(trials):
         raise UsageError(f"--trial {trial}: the experiment has trials 0 to {len(trials) - 1}")
     job = trials[trial].stream
     choices = [(choice.spec, choice.arguments()) for choice in (job.source, job.front_end)]
-    stream, _ = make_stream(choices[0], choices[1], job.seed)
-    save_stream(stream, out)
-    print(f"{out}: {len(stream.frames)} frames, digest {stream.digest}")
+    return make_stream(choices[0], choices[1], job.seed)
 
 
 def info(file: Annotated[Path, typer.Argument(help="A stored stream.")]) -> None:

@@ -18,7 +18,7 @@ from slamcmp.datasets.graph_reader import SENSOR_COMMENT, TIME_COMMENT
 from slamcmp.datasets.information import inverse_of_definite
 from slamcmp.errors import DataError
 from slamcmp.geometry import dead_reckoning, quaternion, se2_coordinates
-from slamcmp.types import FloatArray, Frame, IntArray, Landmarks, Log, MeasurementStream
+from slamcmp.types import FloatArray, Frame, IntArray, Landmarks, Log, MeasurementStream, SensorModel
 
 
 def write_g2o(
@@ -27,16 +27,19 @@ def write_g2o(
     *,
     poses: FloatArray | None = None,
     landmarks: Landmarks | None = None,
+    own_ids: IntArray | None = None,
 ) -> None:
     """Write ``data`` to ``path``; vertices hold ``poses`` (K, n+1, n+1) and ``landmarks`` where given.
 
-    Landmarks of a log are written by their own names (``own_ids``), loop closures as edges between their
-    poses. Without estimates the poses are those of dead reckoning, and a landmark stands where it was first
-    seen from there.
+    Landmarks are written by their own names, ``own_ids`` (L,) or those of a log, loop closures as edges
+    between their poses. Without estimates the poses are those of dead reckoning, and a landmark stands where
+    it was first seen from there.
 
     Raises:
-        DataError: a covariance without inverse, which information matrices cannot hold, or a negative id.
+        DataError: a covariance without inverse, which information matrices cannot hold, a negative id, or a
+            sensor that has no edge in g2o.
     """
+    _require_edges(data.problem.sensor)
     frames = _frames(data)
     sensor = data.problem.sensor
     seen = np.concatenate([frame.ids for frame in frames])
@@ -54,7 +57,7 @@ def write_g2o(
             places.setdefault(landmark, position)
     if landmarks is not None:
         places |= dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
-    own = data.own_ids if isinstance(data, Log) else None
+    own = data.own_ids if own_ids is None and isinstance(data, Log) else own_ids
     names = {landmark: landmark if own is None else int(own[landmark]) for landmark in places}
     writer = _Writer(sensor.space_dim, sensor.name, names)
     lines = writer.lines(frames, data.problem.T_world_body, data.problem.P, poses, places)
@@ -79,14 +82,17 @@ def _frames(data: Log | MeasurementStream) -> tuple[Frame, ...]:
     )
 
 
+def _require_edges(sensor: SensorModel) -> None:
+    if (sensor.space_dim, sensor.name) not in {
+        (2, "range_bearing"),
+        (2, "relative_position"),
+        (3, "relative_position"),
+    }:
+        raise DataError(f"sensor {sensor.name!r} in {sensor.space_dim}-D has no edge in a g2o file")
+
+
 class _Writer:
     def __init__(self, space_dim: int, sensor_name: str, names: Mapping[int, int]) -> None:
-        if (space_dim, sensor_name) not in {
-            (2, "range_bearing"),
-            (2, "relative_position"),
-            (3, "relative_position"),
-        }:
-            raise DataError(f"sensor {sensor_name!r} in {space_dim}-D has no edge in a g2o file")
         self._flat = space_dim == 2
         self._bearing = sensor_name == "range_bearing"
         self._sensor = sensor_name
