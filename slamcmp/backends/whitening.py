@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.errors import UsageError
 from slamcmp.types import FloatArray
@@ -46,3 +50,25 @@ def whiteners(covariances: FloatArray) -> FloatArray:
     """W (m, d, d) of covariances (m, d, d) that are already known to be positive definite."""
     W: FloatArray = np.linalg.inv(np.linalg.cholesky(covariances))
     return W
+
+
+class WhitenedUpdate(NamedTuple):
+    """A measurement update in units of its innovation's standard deviations, S = L L^T."""
+
+    L: FloatArray
+    """(k, k), lower triangular."""
+    W_t: FloatArray
+    """(P H^T L^-T)^T, (k, states): P loses W W^T."""
+    e: FloatArray
+    """L^-1 y, (k,): the mean moves by W e."""
+    nis: float
+    """|e|²; NaN where S is not positive definite or y not finite."""
+
+
+def whitened_update(S: FloatArray, PHt_t: FloatArray, y: FloatArray) -> WhitenedUpdate:
+    """From S (k, k), (P H^T)^T (k, states), which may be overwritten, and the innovation y (k,)."""
+    L, failed = dpotrf(S, lower=1)
+    W_t, _ = dtrtrs(L, PHt_t, lower=1, overwrite_b=1)
+    e, _ = dtrtrs(L, y, lower=1)
+    # dpotrf lets NaN through; it always reaches the NIS.
+    return WhitenedUpdate(L, W_t, e, math.nan if failed else float(e @ e))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamcmp.backends.filters.rts_smoother import Correction, Growth, History, Remap, Step
+from slamcmp.backends.filters.error_covariance import Correction, Growth, Joining, Leaving, Step
+from slamcmp.backends.filters.rts_smoother import History
 
 
 def observability_matrix(history: History) -> np.ndarray:
@@ -25,13 +26,17 @@ def observability_matrix(history: History) -> np.ndarray:
             if event.D is not None:
                 carried[p:] = (event.D @ carried[p:].reshape(-1, n, states)).reshape(-1, states)
         elif isinstance(event, Correction):
-            blocks.append(event.H @ carried[event.touched])
-        elif isinstance(event, Remap):
+            blocks.append(event.H_white @ carried[event.touched])
+        elif isinstance(event, Joining):
+            # Noise is no unknown of this matrix.
+            carried = np.concatenate([carried, np.zeros((len(event.Q), states))])
+        elif isinstance(event, Leaving):
             carried = event.M @ carried
         elif isinstance(event, Growth):
             added = np.eye(len(event.G), states, unknowns)
             unknowns += len(event.G)
-            blocks.append(added - event.G @ carried[:p])
+            follows = slice(event.first, event.first + event.G.shape[1])
+            blocks.append(added - event.G @ carried[follows])
             carried = np.concatenate([carried, added])
     return np.concatenate(blocks)
 

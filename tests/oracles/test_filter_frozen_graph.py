@@ -47,32 +47,30 @@ class FrozenGraph:
         J = self._row(p)
         J[:, :p] = np.eye(p)
         self._add(J, np.zeros(p), filter_._P.pose_block())
-        condition, grow = filter_._condition, filter_._grow
+        observe, grow = filter_._P.observe, filter_._P.grow
 
-        def recorded_condition(
-            touched: np.ndarray, y: np.ndarray, H: np.ndarray, R: np.ndarray
-        ) -> np.ndarray:
+        def recorded_observe(touched: np.ndarray, H: np.ndarray, R: np.ndarray, y: np.ndarray) -> np.ndarray:
             J = self._row(y.size)
             J[:, p * self.k : p * (self.k + 1)] = H[:, :p]
             columns = base + touched[p:] - p
             J[:, columns] = H[:, p:]
             # y is about the newest means; landmarks have moved since they joined.
             self._add(J, y + H[:, p:] @ self.landmark_moves[touched[p:] - p], R)
-            dx = condition(touched, y, H, R)
+            dx = observe(touched, H, R, y)
             self.corrections[self.k] = dx[:p]
             self.landmark_moves[: dx.size - p] += dx[p:]
-            self.chi2_filter += filter_._nis
+            self.chi2_filter += filter_._P.nis
             return dx
 
-        def recorded_grow(ids: np.ndarray, positions: np.ndarray, G: np.ndarray, N: np.ndarray) -> None:
+        def recorded_grow(G: np.ndarray, N: np.ndarray) -> None:
             first = filter_._P.size - p
             J = self._row(len(G))
             J[:, base + first : base + first + len(G)] = np.eye(len(G))
             J[:, p * self.k : p * (self.k + 1)] = -G
             self._add(J, -G @ self.corrections[self.k], N)
-            grow(ids, positions, G, N)
+            grow(G, N)
 
-        filter_._condition, filter_._grow = recorded_condition, recorded_grow
+        filter_._P.observe, filter_._P.grow = recorded_observe, recorded_grow
         for frame in stream.frames:
             self.k = frame.k
             if frame.k:

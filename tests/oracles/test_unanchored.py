@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.error_covariance import Correction, Growth, Step
 from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.robocentric import RobocentricEkf
 from slamcmp.backends.filters.ukf import UkfSlam
 from slamcmp.backends.filters.unanchored import UnanchoredFilter
+from slamcmp.backends.whitening import whitened_update
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.metrics.observability import nullity, unanchored_information
 from tests.oracles.filters import CONSISTENT, BodyEkf, maker, run, world_of
@@ -44,18 +46,18 @@ def test_square_root_against_dense_normal_equations() -> None:
     H, R = [rng.normal(size=(4, p + n)) for _ in range(3)], 0.3 * np.eye(4)
 
     recorded = UnanchoredFilter(p)
-    recorded.grow(G, N)
+    recorded.hear(Growth(G, N))
     # Unknowns of the dense system: x_0, u_1, u_2, u_3, landmarks; x_k = F x_{k-1} + W u_k.
     size = p + 3 * q + 2 * n
     x = np.eye(p, size)
     land = np.eye(2 * n, size, p + 3 * q)
     rows = [np.linalg.cholesky(np.linalg.inv(N)).T @ (land - G @ x), np.eye(3 * q, size, p)]
     for k in range(3):
-        recorded.move(F[k], None, W[k])
+        recorded.hear(Step(F[k], W=W[k]))
         x = F[k] @ x + W[k] @ np.eye(q, size, p + k * q)
         number = k % 2
         touched = np.concatenate([np.arange(p), p + n * number + np.arange(n)])
-        recorded.observe(touched, H[k], R)
+        recorded.hear(Correction(touched, H[k], R, whitened_update(R, H[k], np.zeros(4))))
         rows.append(H[k] @ np.concatenate([x, land[n * number : n * number + n]]) / np.sqrt(0.3))
     A = np.concatenate(rows)
     covariance = x @ np.linalg.inv(A.T @ A) @ x.T

@@ -16,13 +16,11 @@ P         joint covariance (n, n): pose tangent first, then landmarks
 A         derivative of the pose's new error by its old one, (p, p)
 G         derivative of new states by the pose, (a, p)
 W         square root of the downdate, (n, k)
-H         stacked Jacobian of a frame's observations
 ========  ========================================================
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -32,9 +30,6 @@ from slamcmp.types import FloatArray, IntArray
 
 FULL_LIMIT = 256
 """Most states for which both triangles are kept."""
-
-BLOCKWISE_FROM = 48
-"""Fewest observations for which H is multiplied block by block and not as a matrix that is mostly zero."""
 
 
 class JointCovariance:
@@ -83,6 +78,10 @@ class JointCovariance:
         size = landmarks.shape[1]
         states = (size * numbers)[:, None] + np.arange(self._p, self._p + size)
         return np.concatenate([self._pose_states, states.ravel()])
+
+    def states(self, touched: IntArray) -> IntArray:
+        """Places in P of the states that ``touch`` told."""
+        return touched
 
     def columns(self, states: IntArray, size: int) -> FloatArray:
         """Columns of P, (n, c), for ``states`` (c,): the pose's, then those of whole landmarks."""
@@ -227,32 +226,6 @@ class JointCovariance:
         moved[:n, :n] = self._buffer[:n, :n]
         self._buffer, self._full = moved, stays_full
         self._scratch = np.empty_like(moved) if stays_full else np.empty((0, 0))
-
-
-def multiplier(H_pose: FloatArray, H_land: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """X (p + m n, s) -> H X (m d, s) for the stacked Jacobian H of m observations of one landmark each.
-
-    H has the columns ``H_pose`` (m d, p), then the blocks ``H_land`` (m, d, n) and zeros; X the rows of the
-    pose, then those of the m landmarks.
-    """
-    m, d, n = H_land.shape
-    p = H_pose.shape[1]
-    if m < BLOCKWISE_FROM:
-        H_t = np.concatenate([H_pose, block_diagonal(H_land)], axis=1).T
-
-        # Transposed, so that LAPACK gets the layout that it can work on in place.
-        def dense(X: FloatArray) -> FloatArray:
-            HX: FloatArray = (X.T @ H_t).T
-            return HX
-
-        return dense
-
-    def blockwise(X: FloatArray) -> FloatArray:
-        HX: FloatArray = np.matmul(H_land, X[p:].reshape(m, n, -1)).reshape(m * d, -1)
-        HX += H_pose @ X[:p]
-        return HX
-
-    return blockwise
 
 
 def block_diagonal(blocks: FloatArray) -> FloatArray:

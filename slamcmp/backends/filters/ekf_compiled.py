@@ -10,20 +10,24 @@ Needs numba, which the extra ``fast`` installs. The first use on a machine compi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
-from slamcmp.errors import DivergedError, UsageError
+from slamcmp.backends.filters.charts import Chart
+from slamcmp.backends.filters.covariance import JointCovariance
+from slamcmp.backends.filters.error_covariance import ErrorCovariance, lost_covariance
+from slamcmp.backends.filters.map_filter import MapFilter
+from slamcmp.errors import UsageError
 from slamcmp.registry import back_ends
-from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, Trajectory
+from slamcmp.types import FloatArray, Frame, IntArray, Problem, Trajectory
 
 _SENSORS = ("range_bearing", "relative_position")
 
 
 @back_ends.register("ekf_compiled")
-class CompiledEkf:
+class CompiledEkf(MapFilter):
     """``ekf_slam`` in the plane as compiled loops: the same numbers, many times faster on small maps.
 
     Args:
@@ -61,20 +65,19 @@ class CompiledEkf:
             error_state == "world",
             new_landmarks == "join_first",
         )
-        self._T = np.array(problem.T_world_body)
-        self._P = np.array(problem.P)
-        self._landmarks = np.empty((0, 2))
-        self._number: dict[int, int] = {}
-        self._nis, self._nis_dof = 0.0, 0
+        self._buffer = KernelCovariance(problem.P)
+        super().__init__(problem, Chart(2), ErrorCovariance(self._buffer, 2))
+        self._room = self._landmarks
 
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
+        self._begin(frame)
         known = len(self._number)
         numbers = self._numbers(frame.ids)
-        self._nis, self._nis_dof = self._kernel.step(
+        self._P.nis, self._P.nis_dof = self._kernel.step(
             self._T,
-            self._P,
-            self._landmarks,
+            self._buffer.P,
+            self._room,
             known,
             frame.T_prev_body,
             frame.Q,
@@ -83,8 +86,8 @@ class CompiledEkf:
             frame.R,
             *self._settings,
         )
-        if not math.isfinite(self._nis):
-            raise _diverged(frame.k)
+        if not math.isfinite(self._P.nis):
+            raise lost_covariance(frame.k)
 
     def run(self, frames: Sequence[Frame]) -> Trajectory:
         """Every frame of a stream without Python in between; the online poses with their covariances.
@@ -101,8 +104,8 @@ class CompiledEkf:
         nis, dof = np.empty(len(frames)), np.empty(len(frames), dtype=np.int64)
         done = self._kernel.run(
             self._T,
-            self._P,
-            self._landmarks,
+            self._buffer.P,
+            self._room,
             known,
             np.array([frame.T_prev_body for frame in frames]),
             np.array([frame.Q for frame in frames]),
@@ -117,52 +120,36 @@ class CompiledEkf:
             dof,
         )
         if done < len(frames):
-            raise _diverged(frames[done].k)
-        self._nis, self._nis_dof = float(nis[-1]), int(dof[-1])
+            raise lost_covariance(frames[done].k)
+        self._P.nis, self._P.nis_dof = float(nis[-1]), int(dof[-1])
         return Trajectory(np.array([frame.t for frame in frames]), poses, covariances)
-
-    def estimate(self) -> Estimate:
-        """The current pose and its covariance."""
-        return Estimate(self._T, self._P[:3, :3])
-
-    def landmarks(self) -> Landmarks:
-        """Every landmark ever seen, in the order of first sight."""
-        count = len(self._number)
-        ids = np.fromiter(self._number, dtype=np.int64, count=count)
-        blocks = self._P[3:, 3:][: 2 * count, : 2 * count].reshape(count, 2, count, 2)
-        own = np.arange(count)
-        return Landmarks(ids, self._landmarks[:count], blocks[own, :, own, :])
-
-    def joint_covariance(self) -> FloatArray:
-        """P of pose and landmarks, (3 + 2 L, 3 + 2 L)."""
-        n = 3 + 2 * len(self._number)
-        return self._P[:n, :n].copy()
-
-    def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the last frame with its degrees of freedom, landmarks, and measurements dropped (none)."""
-        return {
-            "nis": self._nis if self._nis_dof else float("nan"),
-            "nis_dof": self._nis_dof,
-            "landmarks": len(self._number),
-            "dropped": 0,
-        }
 
     def _numbers(self, ids: IntArray) -> IntArray:
         """Places of the landmarks in the state, new ones behind the known; makes room for them."""
         number = self._number
         numbers = np.array([number.setdefault(i, len(number)) for i in ids.tolist()], dtype=np.int64)
-        if len(number) > len(self._landmarks):
-            capacity = 2 * len(number)
-            P = np.zeros((3 + 2 * capacity, 3 + 2 * capacity))
-            P[: len(self._P), : len(self._P)] = self._P
-            landmarks = np.empty((capacity, 2))
-            landmarks[: len(self._landmarks)] = self._landmarks
-            self._P, self._landmarks = P, landmarks
+        count = len(number)
+        if count > len(self._room):
+            room = np.empty((2 * count, 2))
+            room[: len(self._room)] = self._room
+            self._room = room
+        self._landmarks = self._room[:count]
+        self._buffer.make_room(3 + 2 * count, 3 + 4 * count)
         return numbers
 
 
-def _diverged(k: int) -> DivergedError:
-    return DivergedError(
-        f"frame {k}: the innovation covariance is not positive definite, or the innovation not finite; the "
-        "filter has lost its covariance, or a measurement is spoilt"
-    )
+class KernelCovariance(JointCovariance):
+    """P for plain loops, which write to it: both triangles, with room for more states."""
+
+    @property
+    def P(self) -> FloatArray:
+        """The buffer (capacity, capacity), whose first rows and columns count."""
+        return self._buffer
+
+    def make_room(self, size: int, capacity: int) -> None:
+        """Let ``size`` states count; the buffer grows to ``capacity`` if they do not fit."""
+        if size > len(self._buffer):
+            P = np.zeros((capacity, capacity))
+            P[: len(self._buffer), : len(self._buffer)] = self._buffer
+            self._buffer = P
+        self._n = size

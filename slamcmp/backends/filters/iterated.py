@@ -22,16 +22,15 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.backends.entries import entering
 from slamcmp.backends.filters.charts import WorldChart
 from slamcmp.backends.filters.covariance import block_diagonal
-from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, stacked
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
 from slamcmp.backends.filters.linearisation import LatestEstimate
-from slamcmp.backends.filters.rts_smoother import Step
+from slamcmp.backends.filters.map_filter import Observed, stacked
 from slamcmp.backends.window.gauss_newton import relaxed_share
 from slamcmp.geometry import so3_left_jacobian
 from slamcmp.registry import back_ends
-from slamcmp.types import FloatArray, Frame, IntArray, Problem
+from slamcmp.types import FloatArray, IntArray, Problem
 
 
 @back_ends.register("iterated_ekf")
@@ -58,62 +57,53 @@ class IteratedEkf(ErrorStateEkf):
         smooth: bool = False,
     ) -> None:
         chart = WorldChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks="join_first", smooth=smooth)
+        super().__init__(problem, chart, LatestEstimate(), new_landmarks="update_first", smooth=smooth)
         self._iterations, self._tolerance = iterations, tolerance
 
-    def _observe(self, frame: Frame, numbers: IntArray) -> None:
-        known = numbers >= 0
+    def solve(self, seen: Observed) -> None:
+        """Gauss–Newton on the frame's cost until it rests."""
         p = self._chart.p
         T_prior, landmarks_prior = self._T, self._landmarks
         T_linear, since = T_prior, np.zeros(p)
         s = np.zeros(p + landmarks_prior.size)
-        if known.any():
-            s_linear, touched, y, H, R = self._last_linearisation(
-                *self._in_front(numbers[known], frame.z[known], frame.R[known])
-            )
-            s = self._condition(touched, y, H, R)
+        if seen.numbers.size:
+            s_linear, touched, y, H, R = self._last_linearisation(self._visible(seen))
+            s = self._P.observe(touched, H, R, y)
             J = self._carried(s_linear)
             # The covariance belongs to the errors at the point of linearisation, as the plain EKF's does.
-            self._P.propagate(J, np.zeros_like(J))
-            if self.history is not None:
-                self.history.events.append(Step(J))
-            if self._unanchored is not None:
-                self._unanchored.move(J)
+            self._P.move(J)
             T_linear = self._chart.retract(T_prior, landmarks_prior[:0], s_linear[:p])[0]
             since = J @ (s[:p] - s_linear[:p])
-        entries = entering(frame, ~known, self._sensor)
-        self._dropped += entries.dropped
-        if entries.ids.size:
+        if seen.entries is not None:
             self._T = T_linear
-            G = self._augment(entries)
+            G = self._augment(seen.entries)
             s = np.concatenate([s, G @ since])
             landmarks_prior = self._landmarks
         self._T, self._landmarks = self._chart.retract(T_prior, landmarks_prior, s)
 
     def _last_linearisation(
-        self, numbers: IntArray, z: FloatArray, R: FloatArray
+        self, seen: Observed
     ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
         """Iterate on the touched states only; s (c,) where it ended, and the linear observation there."""
-        n = self._chart.n
-        touched, R_all = self._touched(numbers), block_diagonal(R)
-        P = self._P.columns(touched, n)[touched]
-        seen_prior = self._landmarks[numbers]
+        touched, R = self._P.touch(seen.numbers, self._landmarks), block_diagonal(seen.R)
+        P = self._P.block(touched)
+        landmarks_prior = self._landmarks[seen.numbers]
         s = np.zeros(touched.size)
         last_step: FloatArray | None = None
         share = 1.0
         for remaining in reversed(range(self._iterations)):
-            T, seen = self._chart.retract(self._T, seen_prior, s)
-            self._points = T, seen, numbers
-            H_pose, H_land = self._jacobians(self._sensor, T, seen)
+            T, landmarks = self._chart.retract(self._T, landmarks_prior, s)
+            self._points = T, landmarks, seen.numbers
+            H_pose, H_land = self._jacobians(self._sensor, T, landmarks)
             H = stacked(H_pose @ self._carried(s), H_land)
-            y = self._sensor.residual(z, self._sensor.predict(T, seen)).ravel() + H @ s
+            y = self._sensor.residual(seen.z, self._sensor.predict(T, landmarks)).ravel() + H @ s
             if remaining:
-                step = P @ H.T @ np.linalg.solve(H @ P @ H.T + R_all, y) - s
+                step = P @ H.T @ np.linalg.solve(H @ P @ H.T + R, y) - s
                 if np.abs(step).max() < self._tolerance:
                     break
                 share, last_step = relaxed_share(step, last_step, share), step
                 s = s + share * step
-        return s, touched, y, H, R_all
+        return s, touched, y, H, R
 
     def _carried(self, s: FloatArray) -> FloatArray:
         """J (p, p): all is additive but the rotation in space."""

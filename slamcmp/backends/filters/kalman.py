@@ -17,19 +17,21 @@ y, S, K   innovation, its covariance, Kalman gain
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge
-from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from slamcmp.backends.filters.covariance import block_diagonal
-from slamcmp.backends.filters.rts_smoother import Correction, FrameEnd, Growth, History, Step
-from slamcmp.errors import DivergedError, UsageError
+from slamcmp.backends.entries import Entries
+from slamcmp.backends.filters.charts import Chart
+from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.map_filter import MapFilter, Observed
+from slamcmp.backends.filters.rts_smoother import History
+from slamcmp.errors import UsageError
 from slamcmp.registry import back_ends
-from slamcmp.types import Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
+from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Problem, Trajectory
 
 
 class KalmanFilter:
@@ -38,64 +40,67 @@ class KalmanFilter:
     Args:
         x: prior mean, (s,).
         P: prior covariance, (s, s).
-        smooth: keep what :meth:`smoothed` needs; augmented states must then be constant ones.
+        n: augmented states come in groups of so many.
+        smooth: keep what :meth:`smoothed` needs.
     """
 
-    def __init__(self, x: FloatArray, P: FloatArray, *, smooth: bool = False) -> None:
-        self.x = np.array(x, dtype=np.float64)
-        self.P = np.array(P, dtype=np.float64)
+    def __init__(self, x: FloatArray, P: FloatArray, *, n: int = 1, smooth: bool = False) -> None:
+        self.x: FloatArray = np.array(x, dtype=np.float64)
+        self.covariance = ErrorCovariance(JointCovariance(P), n)
         self._s = self.x.size
-        self.history = History(self._s, self._s) if smooth else None
+        self.history: History | None = None
+        if smooth:
+            self.history = self.covariance.add_listener(History(self._s, n))
+
+    @property
+    def P(self) -> FloatArray:
+        """Covariance of all states, a copy."""
+        return self.covariance.dense()
 
     def predict(self, A: FloatArray, Q: FloatArray, b: FloatArray | float = 0.0) -> None:
-        """Propagate: x = A x + b, P = A P A^T + Q (Problem 3)."""
-        self.x = A @ self.x + b
-        P = A @ self.P @ A.T + Q
-        self.P = 0.5 * (P + P.T)
-        if self.history is not None:
-            self.history.events.append(Step(A[: self._s, : self._s]))
+        """Propagate: x = A x + b, P = A P A^T + Q (Problem 3); augmented states are constant.
 
-    def correct(self, measurement: FloatArray, C: FloatArray, R: FloatArray) -> float:
+        Args:
+            A, Q: (s, s).
+            b: (s,).
+        """
+        s = self._s
+        self.x = np.concatenate([A @ self.x[:s] + b, self.x[s:]])
+        self.covariance.move(A, Q=Q)
+
+    def correct(
+        self, measurement: FloatArray, C: FloatArray, R: FloatArray, states: IntArray | None = None
+    ) -> float:
         """Condition on ``measurement = C x + v`` (Problem 4); returns the squared innovation y^T S^-1 y.
+
+        Args:
+            measurement: (k,).
+            C: (k, c).
+            R: (k, k).
+            states: which C involves, (c,), the first s among them; None: all.
 
         Raises:
             DivergedError: the innovation covariance is not positive definite.
         """
-        PCt = self.P @ C.T
-        y = measurement - C @ self.x
-        try:
-            S = cho_factor(C @ PCt + R, lower=True)
-        except (np.linalg.LinAlgError, ValueError) as error:
-            raise DivergedError(f"the innovation covariance is not positive definite: {error}") from error
-        K = cho_solve(S, PCt.T).T
-        self.x = self.x + K @ y
-        # Joseph's form: stays positive semi-definite whatever the rounding in K.
-        keep = np.eye(self.x.size) - K @ C
-        P = keep @ self.P @ keep.T + K @ R @ K.T
-        self.P = 0.5 * (P + P.T)
-        if self.history is not None:
-            H, W_t, e = (solve_triangular(S[0], right, lower=True) for right in (C, PCt.T, y))
-            self.history.events.append(Correction(np.arange(self.x.size), H, W_t, e))
-        return float(y @ cho_solve(S, y))
+        if states is None:
+            states = np.arange(self.x.size)
+        before = self.covariance.nis
+        self.x = self.x + self.covariance.observe(states, C, R, measurement - C @ self.x[states])
+        return self.covariance.nis - before
 
     def augment(self, G: FloatArray, N: FloatArray, x_new: FloatArray) -> None:
-        """Append states ``x_new`` whose error is G (error of x) + noise of covariance N."""
-        cross = G @ self.P
-        corner = cross @ G.T + N
+        """Append states ``x_new`` (a,) with error G (a, s) times that of x plus noise of covariance N."""
         self.x = np.concatenate([self.x, x_new])
-        self.P = np.block([[self.P, cross.T], [cross, 0.5 * (corner + corner.T)]])
-        if self.history is not None:
-            self.history.events.append(Growth(G[:, : self._s]))
+        self.covariance.grow(G, N)
 
     def mark(self, t: float = 0.0) -> None:
         """Have :meth:`smoothed` answer for this moment too."""
-        if self.history is not None:
-            self.history.events.append(FrameEnd(t, self.x[: self._s], self.P[: self._s]))
+        self.covariance.end_frame(t, self.x[: self._s])
 
     def smoothed(self) -> tuple[FloatArray, FloatArray]:
         """Mean (K, s) and covariance (K, s, s) of the first s states at each marked moment, given all data.
 
-        Rauch, Tung, Striebel 1965, in the form of filter_history.py. Needs ``smooth``.
+        Rauch, Tung, Striebel 1965, in the form of rts_smoother.py. Needs ``smooth``.
         """
         if self.history is None:
             raise UsageError("this Kalman filter kept no history; construct it with smooth=True")
@@ -104,7 +109,7 @@ class KalmanFilter:
 
 
 @back_ends.register("kalman_filter")
-class KnownHeadingKalmanFilter:
+class KnownHeadingKalmanFilter(MapFilter):
     """Linear Kalman-filter SLAM for a robot whose heading is known (a compass): the case without a gap.
 
     With the heading given, odometry and relative positions are linear in (position, landmarks), so this
@@ -142,40 +147,50 @@ class KnownHeadingKalmanFilter:
         self._R_world_body = problem.T_world_body[:2, :2]
         self._heading_variance = float(problem.P[2, 2])
         R = self._R_world_body
-        self._filter = KalmanFilter(problem.T_world_body[:2, 2], R @ problem.P[:2, :2] @ R.T, smooth=smooth)
+        x, P = problem.T_world_body[:2, 2], R @ problem.P[:2, :2] @ R.T
+        self._filter = KalmanFilter(x, P, n=2, smooth=smooth)
+        super().__init__(problem, Chart(2), self._filter.covariance)
         self._past: list[tuple[float, FloatArray, float]] = []
         if smooth:
             self.trajectory = self._smoothed
-        self._number: dict[int, int] = {}
-        self._nis, self._nis_dof = 0.0, 0
 
     def update(self, frame: Frame) -> None:
         """Predict the position with the known heading, add new landmarks, correct with the others."""
+        seen = self.construct(frame)
+        self.solve(seen)
+        self.marginalise(frame)
+
+    def construct(self, frame: Frame) -> Observed:
+        """The frame's cost: the prior carried over the odometry, and what was observed."""
+        self._begin(frame)
         if frame.k > 0:
             self._predict(frame)
-        self._nis, self._nis_dof = 0.0, 0
-        known = np.array([landmark in self._number for landmark in frame.ids.tolist()], dtype=bool)
-        new = ~known
-        if new.any():
-            self._augment(frame, np.flatnonzero(new))
-        if known.any():
-            self._correct(frame, np.flatnonzero(known))
-        if self._filter.history is not None:
-            self._filter.mark()
-            self._past.append((frame.t, self._R_world_body, self._heading_variance))
+        seen = self._sorted(frame)
+        if seen.entries is not None:
+            self._augment(seen.entries)
+        return seen
+
+    def solve(self, seen: Observed) -> None:
+        """The minimum of that cost, which is quadratic."""
+        if not seen.numbers.size:
+            return
+        R_t = self._R_world_body.T
+        C = np.zeros((2 * seen.numbers.size, 2 + 2 * seen.numbers.size))
+        C[:, :2] = np.tile(-R_t, (seen.numbers.size, 1))
+        C[:, 2:] = block_diagonal(np.broadcast_to(R_t, (seen.numbers.size, 2, 2)))
+        touched = self._P.touch(seen.numbers, self._landmarks)
+        self._filter.correct(seen.z.ravel(), C, block_diagonal(seen.R), touched)
+        self._landmarks = self._filter.x[2:].reshape(-1, 2)
+
+    def marginalise(self, frame: Frame) -> None:
+        """The posterior of position and map is the next frame's prior."""
+        self._filter.mark(frame.t)
+        self._past.append((frame.t, self._R_world_body, self._heading_variance))
 
     def estimate(self) -> Estimate:
         """The pose with its position covariance turned into the body tangent."""
-        T, P = _pose(self._R_world_body, self._filter.x[:2], self._filter.P[:2, :2], self._heading_variance)
+        T, P = _pose(self._R_world_body, self._filter.x[:2], self._P.pose_block(), self._heading_variance)
         return Estimate(T, P)
-
-    def landmarks(self) -> Landmarks:
-        """Every landmark ever seen, in the order of first sight."""
-        count = len(self._number)
-        ids = np.fromiter(self._number, dtype=np.int64, count=count)
-        blocks = self._filter.P[2:, 2:].reshape(count, 2, count, 2)
-        index = np.arange(count)
-        return Landmarks(ids, self._filter.x[2:].reshape(count, 2), blocks[index, :, index, :])
 
     def joint_covariance(self) -> FloatArray:
         """(3 + 2 L, 3 + 2 L): the heading is uncorrelated with the rest."""
@@ -186,14 +201,6 @@ class KnownHeadingKalmanFilter:
         joint: FloatArray = to_tangent @ self._filter.P @ to_tangent.T
         joint[2, 2] = self._heading_variance
         return joint
-
-    def diagnostics(self) -> Mapping[str, float]:
-        """NIS of the last frame with its degrees of freedom, and the number of landmarks."""
-        return {
-            "nis": self._nis if self._nis_dof else float("nan"),
-            "nis_dof": self._nis_dof,
-            "landmarks": len(self._number),
-        }
 
     def _smoothed(self) -> Trajectory:
         """Every pose given all observations; the heading is as it was."""
@@ -219,36 +226,18 @@ class KnownHeadingKalmanFilter:
 
     def _predict(self, frame: Frame) -> None:
         self._check_heading(frame.Q, f"the odometry of frame {frame.k}")
-        b = np.zeros(self._filter.x.size)
-        b[:2] = self._R_world_body @ frame.T_prev_body[:2, 2]
+        step = self._R_world_body @ frame.T_prev_body[:2, 2]
         self._R_world_body = R = self._R_world_body @ frame.T_prev_body[:2, :2]
         self._heading_variance += float(frame.Q[2, 2])
-        Q = np.zeros_like(self._filter.P)
-        Q[:2, :2] = R @ frame.Q[:2, :2] @ R.T
-        self._filter.predict(np.eye(b.size), Q, b)
+        self._filter.predict(np.eye(2), R @ frame.Q[:2, :2] @ R.T, step)
 
-    def _augment(self, frame: Frame, rows: NDArray[np.int64]) -> None:
+    def _augment(self, entries: Entries) -> None:
         R = self._R_world_body
-        count, m = len(self._number), rows.size
         # l = p + R z: every new landmark moves with the position.
-        G = np.zeros((2 * m, self._filter.x.size))
-        G[:, :2] = np.tile(np.eye(2), (m, 1))
-        position = self._filter.x[:2]
-        self._filter.augment(
-            G, block_diagonal(R @ frame.R[rows] @ R.T), (position + frame.z[rows] @ R.T).ravel()
-        )
-        for offset, landmark in enumerate(frame.ids[rows].tolist()):
-            self._number[landmark] = count + offset
-
-    def _correct(self, frame: Frame, rows: NDArray[np.int64]) -> None:
-        R_t = self._R_world_body.T
-        C = np.zeros((2 * rows.size, self._filter.x.size))
-        for i, landmark in enumerate(frame.ids[rows].tolist()):
-            start = 2 + 2 * self._number[landmark]
-            C[2 * i : 2 * i + 2, :2] = -R_t
-            C[2 * i : 2 * i + 2, start : start + 2] = R_t
-        self._nis = self._filter.correct(frame.z[rows].ravel(), C, block_diagonal(frame.R[rows]))
-        self._nis_dof = 2 * rows.size
+        positions = self._filter.x[:2] + entries.z @ R.T
+        G = np.tile(np.eye(2), (entries.ids.size, 1))
+        self._filter.augment(G, block_diagonal(R @ entries.R @ R.T), positions.ravel())
+        self._name(entries, positions)
 
 
 def _pose(

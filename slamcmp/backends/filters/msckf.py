@@ -5,20 +5,20 @@ marginalised the moment it ends. All its observations act at once as constraints
 them, after the landmark itself is projected out (Mourikis and Roumeliotis 2007, "A multi-state constraint
 Kalman filter for vision-aided inertial navigation", sec. III-D). The cost of a frame does not grow with the
 map, but a place seen again is a new landmark: nothing closes a loop longer than the window. Errors of poses
-are additive in the world, as in ``ekf_slam``, and written in the poses' own axes.
+are additive in the world (charts.py). An older pose is to the covariance what a landmark is to EKF-SLAM: it
+joins as a copy of the pose and stays where it is while the pose moves on.
 
 ========  =====================================================================
 symbol    meaning
 ========  =====================================================================
-T, P      the window's poses (K, n+1, n+1), oldest first, and their joint
-          covariance (K p, K p) in body tangents
+T         the window's poses (K, n+1, n+1), oldest first
+P         their joint covariance (K p, K p): the newest, then oldest to newest
+A         a pose's error to its body tangent, (p, p)
 z, R      observations of a track and their covariances
 H_x, H_f  a track's whitened Jacobians by the poses (m d, K p), the landmark (m d, n)
 r         whitened residual, (m d,)
-J         turns the poses' errors into the axes of the corrected poses
 N         basis of the left null space of H_f, N^T H_f = 0
 G         (H_f^T H_f)^-1 H_f^T H_x: how the landmark follows the poses
-S         innovation covariance
 ========  =====================================================================
 """
 
@@ -33,14 +33,15 @@ from annotated_types import Ge
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from slamcmp.backends.entries import behind, places_by_itself
-from slamcmp.backends.filters.covariance import block_diagonal
+from slamcmp.backends.filters.charts import WorldChart
+from slamcmp.backends.filters.covariance import JointCovariance
+from slamcmp.backends.filters.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.map_filter import sandwich
 from slamcmp.backends.whitening import whiteners
 from slamcmp.backends.window.sights import Sights, padded
-from slamcmp.errors import DivergedError
-from slamcmp.geometry import adjoint_of_inverse, retract_in_world_axes
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.registry import back_ends
-from slamcmp.types import Detections, Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
+from slamcmp.types import Detections, Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, Trajectory
 
 TRIANGULATION_STEPS = 10
 """Gauss-Newton steps for one landmark; with a good first sight three suffice."""
@@ -96,43 +97,73 @@ class Msckf:
         self._sensor = problem.sensor
         self._sights = Sights(problem.sensor, entry_sensor(problem.sensor))
         self._window = window
-        self._p, self._n = problem.P.shape[0], problem.sensor.space_dim
+        self._n = problem.sensor.space_dim
+        self._chart = WorldChart(self._n)
+        self._p = self._chart.p
         self._T = problem.T_world_body[None].copy()
-        self._P = problem.P.copy()
+        P = sandwich(self._chart.from_body(self._T[0]), problem.P)
+        self._P = ErrorCovariance(JointCovariance(P), self._p)
         self._first = 0
         """Number of the window's oldest frame."""
         self._tracks: dict[int, Track] = {}
         self._map: dict[int, tuple[FloatArray, FloatArray]] = {}
-        self._nis, self._nis_dof, self._used = 0.0, 0, 0
-        self._dropped = 0
+        self._used, self._dropped = 0, 0
         self._t: list[float] = []
         self._left: list[tuple[FloatArray, FloatArray]] = []
 
     def update(self, frame: Frame) -> None:
         """Append the pose, note the observations, use up finished tracks, drop the oldest pose."""
+        constraints = self.construct(frame)
+        self.solve(constraints)
+        self.marginalise(frame)
+
+    def construct(self, frame: Frame) -> list[Constraint]:
+        """The frame's cost: a new pose, and what the tracks that end with the frame say about the window."""
+        self._P.begin_frame(frame.k)
+        self._dropped = 0
         if frame.k > 0:
             self._append_pose(frame)
         self._t.append(frame.t)
-        self._dropped = 0
         if frame.entries is not None:
             self._note(frame.k, frame.entries, entering=True)
         self._note(frame.k, frame, entering=False)
-        full = len(self._T) == self._window
         finished = [
             landmark
             for landmark, track in self._tracks.items()
-            if track.frames[-1] < frame.k or (full and track.frames[0] == self._first)
+            if track.frames[-1] < frame.k or (self._full and track.frames[0] == self._first)
         ]
-        self._correct([self._constraint(landmark, self._tracks.pop(landmark)) for landmark in finished])
-        if full:
+        made = [self._constraint(landmark, self._tracks.pop(landmark)) for landmark in finished]
+        return [constraint for constraint in made if constraint is not None]
+
+    def solve(self, constraints: list[Constraint]) -> None:
+        """One Gauss-Newton step on it, in covariance form; places the tracks' landmarks."""
+        self._used = len(constraints)
+        if not constraints:
+            return
+        H = np.concatenate([constraint.H for constraint in constraints])
+        r = np.concatenate([constraint.r for constraint in constraints])
+        step = self._P.observe(np.arange(self._P.size), H, np.eye(r.size), r)
+        P = self._P.dense()
+        for constraint in constraints:
+            G = constraint.G
+            self._map[constraint.landmark] = (constraint.position - G @ step, constraint.own + G @ P @ G.T)
+        none = np.empty((0, self._n))
+        errors = step.reshape(-1, self._p)[self._slots]
+        self._T = np.array([self._chart.retract(T, none, e)[0] for T, e in zip(self._T, errors, strict=True)])
+
+    def marginalise(self, frame: Frame) -> None:
+        """The oldest pose leaves a window that is full."""
+        if self._full:
             # One place early: the window holds w poses again when the next frame's has been appended.
-            self._left.append((self._T[0], self._P[: self._p, : self._p]))
-            self._T, self._P = self._T[1:], self._P[self._p :, self._p :]
+            self._left.append((self._T[0], self._covariances()[0]))
+            self._P.drop(np.arange(self._p, 2 * self._p))
+            self._T = self._T[1:]
             self._first += 1
+        self._P.end_frame(frame.t, self._T[-1])
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
-        return Estimate(self._T[-1], self._P[-self._p :, -self._p :])
+        return Estimate(self._T[-1], sandwich(self._chart.to_body(self._T[-1]), self._P.pose_block()))
 
     def landmarks(self) -> Landmarks:
         """The landmarks of finished tracks, each as its latest track left it."""
@@ -143,19 +174,16 @@ class Msckf:
 
     def trajectory(self) -> Trajectory:
         """Each pose as it left the window, or as it stands in it."""
-        p = self._p
-        own = self._P.reshape(len(self._T), p, len(self._T), p)
-        index = np.arange(len(self._T))
         poses = [T for T, _ in self._left] + list(self._T)
-        covariances = [P for _, P in self._left] + list(own[index, :, index, :])
+        covariances = [P for _, P in self._left] + self._covariances()
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
 
     def diagnostics(self) -> Mapping[str, float]:
         """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map, and
         how many observations were dropped with their tracks."""
         return {
-            "nis": self._nis if self._nis_dof else float("nan"),
-            "nis_dof": self._nis_dof,
+            "nis": self._P.nis if self._P.nis_dof else float("nan"),
+            "nis_dof": self._P.nis_dof,
             "tracks_used": self._used,
             "landmarks": len(self._map),
             "dropped": self._dropped,
@@ -173,12 +201,30 @@ class Msckf:
             track.W.append(W[row])
             track.entering.append(entering)
 
+    @property
+    def _full(self) -> bool:
+        return len(self._T) == self._window
+
+    @property
+    def _slots(self) -> IntArray:
+        """Where each pose of the window stands in P, (K,)."""
+        slots: IntArray = np.roll(np.arange(len(self._T)), -1)
+        return slots
+
+    def _covariances(self) -> list[FloatArray]:
+        """Of each pose of the window, in its body tangent."""
+        own = [self._P.pose_block(), *self._P.diagonal_blocks()]
+        return [
+            sandwich(self._chart.to_body(T), own[slot]) for T, slot in zip(self._T, self._slots, strict=True)
+        ]
+
     def _append_pose(self, frame: Frame) -> None:
+        T = self._T[-1] @ frame.T_prev_body
         p = self._p
-        self._T = np.concatenate([self._T, (self._T[-1] @ frame.T_prev_body)[None]])
-        rows = adjoint_of_inverse(frame.T_prev_body) @ self._P[-p:]
-        corner = rows[:, -p:] @ adjoint_of_inverse(frame.T_prev_body).T + frame.Q
-        self._P = np.block([[self._P, rows.T], [rows, 0.5 * (corner + corner.T)]])
+        self._P.grow(np.eye(p), np.zeros((p, p)))
+        F = self._chart.transition(self._T[-1], T)
+        self._P.move(F, Q=sandwich(self._chart.from_body(T), frame.Q))
+        self._T = np.concatenate([self._T, T[None]])
 
     def _constraint(self, landmark: int, track: Track) -> Constraint | None:
         """Triangulate the landmark, then take it out; None where nothing about the poses is left."""
@@ -200,8 +246,9 @@ class Msckf:
             return None
         points = np.tile(position, (m, 1))
         H_pose, H_land = sights.derivatives(poses, points, poses, points)
+        A = np.array([self._chart.to_body(T) for T in poses])
         blocks = np.zeros((m, d, len(self._T), self._p))
-        blocks[np.arange(m), :, numbers, :] = W @ H_pose
+        blocks[np.arange(m), :, self._slots[numbers], :] = W @ H_pose @ A
         H_x = blocks.reshape(m, d, -1)[real]
         H_f = (W @ H_land)[real]
         r = -(W @ sights.errors(poses, points, z)[..., None])[..., 0][real]
@@ -223,32 +270,6 @@ class Msckf:
         if track.entering[0] or places_by_itself(self._sensor):
             return by.invert(T, track.z[0][: by.dim])
         return self._map[landmark][0] if landmark in self._map else None
-
-    def _correct(self, constraints: list[Constraint | None]) -> None:
-        used = [constraint for constraint in constraints if constraint is not None]
-        self._nis, self._nis_dof, self._used = 0.0, 0, len(used)
-        if not used:
-            return
-        H = np.concatenate([constraint.H for constraint in used])
-        r = np.concatenate([constraint.r for constraint in used])
-        PHt = self._P @ H.T
-        L, failed = dpotrf(H @ PHt + np.eye(r.size), lower=1)
-        W_t = dtrtrs(L, PHt.T, lower=1)[0]
-        e = dtrtrs(L, r, lower=1)[0]
-        self._nis, self._nis_dof = float(e @ e), r.size
-        if failed or not np.isfinite(self._nis):
-            raise DivergedError(
-                "the innovation covariance of the finished tracks is not positive definite, or their "
-                "residual not finite"
-            )
-        step = W_t.T @ e
-        P = self._P - W_t.T @ W_t
-        for constraint in used:
-            G = constraint.G
-            self._map[constraint.landmark] = (constraint.position - G @ step, constraint.own + G @ P @ G.T)
-        self._T, turns = retract_in_world_axes(self._T, step.reshape(-1, self._p))
-        J = block_diagonal(turns)
-        self._P = J @ P @ J.T
 
 
 def triangulate(

@@ -111,6 +111,12 @@ class PostponedCovariance:
         self._in_view = len(wanted)
         return self._near_states(wanted)
 
+    def states(self, touched: IntArray) -> IntArray:
+        """Places in P, all landmarks counted, of the states that ``touch`` told."""
+        numbers = {first: number for number, first in self._slots.items()}
+        starts = touched[self._pose_states.size :: self._axes.size]
+        return self._all_states([numbers[first] for first in starts.tolist()])
+
     def columns(self, states: IntArray, size: int) -> FloatArray:
         """Columns of the near part of P, with the rows of u, for ``states`` from ``touch``."""
         return self._near.columns(states, size)

@@ -26,10 +26,10 @@ from scipy.linalg import block_diag
 from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.filters.charts import RobocentricChart
 from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
-from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks, stacked
+from slamcmp.backends.filters.error_covariance import ErrorCovariance, Growth, Joining, Leaving
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import LatestEstimate
-from slamcmp.backends.filters.rts_smoother import FrameEnd, Growth, Remap
-from slamcmp.backends.filters.unanchored import square_root
+from slamcmp.backends.filters.map_filter import Observed, stacked
 from slamcmp.geometry import exp, inverse, right_jacobian, transform
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, Frame, IntArray, Problem
@@ -52,110 +52,118 @@ class RobocentricEkf(ErrorStateEkf):
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
     ) -> None:
         chart = self._robocentric = RobocentricChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
+        super().__init__(
+            problem,
+            chart,
+            LatestEstimate(),
+            new_landmarks=new_landmarks,
+            smooth=smooth,
+            covariance=IncrementCovariance,
+        )
+        self._P: IncrementCovariance
         self._U = np.eye(chart.n + 1)
         self._q = np.empty((0, chart.n))
         self._e, self._w = np.zeros(chart.p), np.zeros(chart.p)
-        self._w_at = chart.p
-        self._w_root = np.zeros((chart.p, chart.p))
 
-    def update(self, frame: Frame) -> None:
-        """Let the increment join the state, take in the observations, then move to the frame's pose."""
-        p = self._chart.p
-        self._k = frame.k
-        self._nis, self._nis_dof, self._dropped = 0.0, 0, 0
-        self._points = None
+    def construct(self, frame: Frame) -> Observed:
+        """The frame's cost: prior, increment and observations, the increment being a part of the state."""
+        self._begin(frame)
         self._U = np.array(frame.T_prev_body)
         self._q = transform(inverse(self._T), self._landmarks)
-        self._e, self._w = np.zeros(p), np.zeros(p)
-        self._w_at = self._P.size
+        self._e, self._w = np.zeros(self._chart.p), np.zeros(self._chart.p)
         # Frame 0 has the identity and no noise: an increment like any other.
-        self._P = JointCovariance(block_diag(self._P.dense(), frame.Q))
-        if self.history is not None:
-            self.history.events.append(Remap(np.eye(self._w_at + p, self._w_at)))
-        if self._unanchored is not None:
-            self._w_root = square_root(frame.Q)
-            self._unanchored.shake(p)
-        numbers = np.array([self._number.get(name, -1) for name in frame.ids.tolist()], dtype=np.int64)
-        self._observe(frame, numbers)
-        self._compose()
-        if self.history is not None:
-            rows = self._P.columns(self._pose_states, self._chart.n).T.copy()
-            self.history.events.append(FrameEnd(frame.t, self._T, rows))
+        self._P.join(frame.Q)
+        seen = self._sorted(frame)
+        if self._join_first and seen.entries is not None:
+            self._augment(seen.entries)
+        return seen
+
+    def marginalise(self, frame: Frame) -> None:
+        """Move mean and covariance by the corrected increment, which leaves the state."""
+        chart = self._robocentric
+        T_before = chart.retract(self._T, self._q[:0], self._e)[0]
+        self._T = T_before @ self._U
+        self._landmarks = transform(T_before, self._q)
+        B, C = chart.offsets(self._T, self._landmarks), chart.axes(self._T)
+        # w is an error at the increment before its correction; the next frame sees it after.
+        by_w = chart.from_body(self._T) @ right_jacobian(self._w)
+        r_by_w = -(C.T @ B @ by_w).reshape(-1, chart.p)
+        D = self._U[: chart.n, : chart.n].T
+        self._P.leave(chart.transition(T_before, self._T), D, np.concatenate([by_w, r_by_w]))
+        super().marginalise(frame)
 
     def _expected(self, numbers: IntArray) -> FloatArray:
         return self._sensor.predict(self._U, self._q[numbers])
 
     def _augment(self, entries: Entries) -> FloatArray:
-        q = placed(self._entry_sensor, self._U, entries, self._k)
+        q = placed(self._entry_sensor, self._U, entries, self._P.frame)
         H_pose, H_land = self._entry_sensor.jacobians(self._U, q)
         H_inv = np.linalg.inv(H_land)
-        w_states = slice(self._w_at, self._w_at + self._chart.p)
-        G = np.zeros((q.size, self._P.size))
-        G[:, w_states] = -(H_inv @ H_pose).reshape(q.size, -1)
-        P = self._P.dense()
-        rows = G @ P
-        N = block_diagonal(H_inv @ entries.R @ np.swapaxes(H_inv, 1, 2))
-        self._P = JointCovariance(np.block([[P, rows.T], [rows, rows @ G.T + N]]))
-        if self.history is not None:
-            self.history.events.append(Growth(np.zeros((q.size, self._chart.p))))
-            M = np.eye(self._P.size)
-            M[-q.size :, w_states] = G[:, w_states]
-            self.history.events.append(Remap(M))
-        if self._unanchored is not None:
-            self._unanchored.grow(np.zeros((q.size, self._chart.p)), N, G[:, w_states] @ self._w_root)
-        count = len(self._number)
+        G = -(H_inv @ H_pose).reshape(q.size, -1)
+        self._enter(entries, q, G, block_diagonal(H_inv @ entries.R @ np.swapaxes(H_inv, 1, 2)))
         self._q = np.concatenate([self._q, q])
-        for offset, landmark in enumerate(entries.ids.tolist()):
-            self._number[landmark] = count + offset
         return G
 
-    def _correct(self, numbers: IntArray, z: FloatArray, R: FloatArray) -> None:
-        p, n = self._chart.p, self._chart.n
-        seen = self._q[numbers]
-        y = self._sensor.residual(z, self._sensor.predict(self._U, seen)).ravel()
-        H = stacked(*self._sensor.jacobians(self._U, seen))
-        touched = np.concatenate(
-            [self._w_at + self._pose_states, (numbers[:, None] * n + self._axes).ravel()]
-        )
-        dx = self._condition(touched, y, H, block_diagonal(R))
-        self._points = self._T @ self._U, transform(self._T, seen), numbers
-        after_w = self._w_at + p
-        self._e, self._w = dx[:p], dx[self._w_at : after_w]
+    def _correct(self, seen: Observed) -> None:
+        q = self._q[seen.numbers]
+        y = self._sensor.residual(seen.z, self._sensor.predict(self._U, q)).ravel()
+        H = stacked(*self._sensor.jacobians(self._U, q))
+        touched = self._P.touch(seen.numbers, self._q)
+        dx = self._P.observe(touched, H, block_diagonal(seen.R), y)
+        self._points = self._T @ self._U, transform(self._T, q), seen.numbers
+        self._e, self._w, r = self._P.parted(dx)
         self._U = self._U @ exp(self._w)
-        self._q = self._q + np.concatenate([dx[p : self._w_at], dx[after_w:]]).reshape(-1, n)
+        self._q = self._q + r.reshape(self._q.shape)
 
-    def _note_observation(self, touched: IntArray, H: FloatArray, R: FloatArray) -> None:
-        assert self._unanchored is not None
-        p = self._chart.p
-        land = touched[p:]
-        land = np.where(land < self._w_at, land, land - p)
-        self._unanchored.observe(land, H[:, p:], R, H[:, :p] @ self._w_root)
 
-    def _compose(self) -> None:
-        """Move mean and covariance by the corrected increment, which leaves the state."""
-        chart, p = self._robocentric, self._chart.p
-        T_before = chart.retract(self._T, self._q[:0], self._e)[0]
-        self._T = T_before @ self._U
-        self._landmarks = transform(T_before, self._q)
-        noise_map, F = chart.from_body(self._T), chart.transition(T_before, self._T)
-        B, C = chart.offsets(self._T, self._landmarks), chart.axes(self._T)
-        # w is an error at the increment before its correction; the next frame sees it after.
-        by_w = noise_map @ right_jacobian(self._w)
-        r_by_w = -(C.T @ B @ by_w).reshape(-1, p)
-        D = self._U[: chart.n, : chart.n].T
+class IncrementCovariance(ErrorCovariance):
+    """P of (e, r) between frames, and of (e, r, w, new r) while a frame is taken in."""
+
+    def __init__(self, storage: JointCovariance, n: int) -> None:
+        super().__init__(storage, n)
+        self._at = storage.size
+        """First state of w."""
+
+    def join(self, Q: FloatArray) -> None:
+        """The increment's error w, of covariance Q (p, p), becomes a part of the state."""
+        self._at = self.size
+        self.storage = JointCovariance(block_diag(self.dense(), Q))
+        self._tell(Joining(Q, self._at))
+
+    def grow(self, G: FloatArray, N: FloatArray) -> None:
+        """New landmarks at the end: G (a, p) times w plus noise of covariance N (a, a)."""
+        P = self.dense()
+        by_all = np.zeros((len(G), self.size))
+        by_all[:, self._at : self._at + G.shape[1]] = G
+        rows = by_all @ P
+        self.storage = JointCovariance(np.block([[P, rows.T], [rows, rows @ by_all.T + N]]))
+        self._tell(Growth(G, N, self._at))
+
+    def touch(self, numbers: IntArray, landmarks: FloatArray) -> IntArray:
+        """States (c,) of w and of landmarks (m,) that were in the state when the frame began."""
+        n = landmarks.shape[1]
+        r = (n * numbers)[:, None] + self._pose_states.size + np.arange(n)
+        return np.concatenate([self._at + self._pose_states, r.ravel()])
+
+    def parted(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The parts of e, w and r of rows (states, …)."""
+        p = self._pose_states.size
+        after = self._at + p
+        return rows[:p], rows[self._at : after], np.concatenate([rows[p : self._at], rows[after:]])
+
+    def leave(self, F: FloatArray, D: FloatArray, W: FloatArray) -> None:
+        """e becomes F e, each r becomes D r, both plus W (states, p) times w, which is marginalised."""
+
+        p = len(F)
 
         def moved(rows: FloatArray) -> FloatArray:
-            after_w = self._w_at + p
-            w = rows[self._w_at : after_w]
-            r = np.concatenate([rows[p : self._w_at], rows[after_w:]])
-            turned = (D @ r.reshape(-1, chart.n, rows.shape[1])).reshape(r.shape)
-            return np.concatenate([F @ rows[:p] + by_w @ w, turned + r_by_w @ w])
+            e, w, r = self.parted(rows)
+            turned = (D @ r.reshape(-1, len(D), rows.shape[1])).reshape(r.shape)
+            return np.concatenate([F @ e + W[:p] @ w, turned + W[p:] @ w])
 
-        P = moved(moved(self._P.dense()).T)
-        self._P = JointCovariance(P[:p, :p])
-        self._P.append(P[p:, :p], P[p:, p:])
-        if self.history is not None:
-            self.history.events.append(Remap(moved(np.eye(2 * p + self._q.size))))
-        if self._unanchored is not None:
-            self._unanchored.move(F, D, np.concatenate([by_w, r_by_w]) @ self._w_root)
+        size = self.size
+        P = moved(moved(self.dense()).T)
+        self.storage = JointCovariance(P[:p, :p])
+        self.storage.append(P[p:, :p], P[p:, p:])
+        if self._listeners:
+            self._tell(Leaving(moved(np.eye(size)), F, D, W))

@@ -26,66 +26,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slamcmp.types import FloatArray, IntArray
-
-
-@dataclass(frozen=True)
-class Step:
-    """The error moved from one frame to the next, or to another tangent space."""
-
-    F: FloatArray | None
-    """Of the pose, (p, p); None: unchanged."""
-    D: FloatArray | None = None
-    """Of every landmark, (n, n); None: unchanged."""
-
-
-@dataclass(frozen=True)
-class Correction:
-    """A measurement update, whitened."""
-
-    touched: IntArray
-    """States (c,) that H involves."""
-    H: FloatArray
-    """(k, c)."""
-    W_t: FloatArray
-    """(k, states)."""
-    e: FloatArray
-    """(k,)."""
-
-
-@dataclass(frozen=True)
-class Growth:
-    """New states at the end, G times the pose's error plus fresh noise."""
-
-    G: FloatArray
-    """(a, p)."""
-
-
-@dataclass(frozen=True)
-class Remap:
-    """All states replaced by linear functions of them, and noise."""
-
-    M: FloatArray
-    """(new states, old states)."""
-
-
-@dataclass(frozen=True)
-class FrameEnd:
-    """What the filter knew after a frame."""
-
-    t: float
-    mean: FloatArray
-    """Its pose, or for a linear system its state."""
-    rows: FloatArray
-    """The pose's rows of P, (p, states)."""
-
-
-Event = Step | Correction | Growth | Remap | FrameEnd
+from slamcmp.backends.filters.error_covariance import (
+    Correction,
+    Event,
+    FrameEnd,
+    Growth,
+    Joining,
+    Leaving,
+    Removal,
+    Step,
+)
+from slamcmp.types import FloatArray
 
 
 @dataclass
 class History:
-    """The events of a run, in order.
+    """The events of a run, in order, as a covariance tells them.
 
     Args:
         p: dimension of the pose's error.
@@ -95,6 +51,10 @@ class History:
     p: int
     n: int
     events: list[Event] = field(default_factory=list)
+
+    def hear(self, event: Event) -> None:
+        """Keep it."""
+        self.events.append(event)
 
     def smoothed_errors(self) -> tuple[list[FrameEnd], FloatArray, FloatArray]:
         """The frames, their pose's error with hindsight (K, p), and its covariance (K, p, p).
@@ -106,8 +66,12 @@ class History:
         for event in self.events:
             if isinstance(event, Growth):
                 states += event.G.shape[0]
-            elif isinstance(event, Remap):
+            elif isinstance(event, Joining):
+                states += event.Q.shape[0]
+            elif isinstance(event, Leaving):
                 states = event.M.shape[0]
+            elif isinstance(event, Removal):
+                states -= event.states.size
         lam, Lam = np.zeros(states), np.zeros((states, states))
         frames: list[FrameEnd] = []
         errors, covariances = [], []
@@ -121,10 +85,14 @@ class History:
                 _uncorrect(event, lam, Lam)
             elif isinstance(event, Step):
                 self._unstep(event, lam, Lam)
-            elif isinstance(event, Remap):
+            elif isinstance(event, Growth):
+                lam, Lam = _ungrow(event, lam, Lam)
+            elif isinstance(event, Joining):
+                lam, Lam = lam[: event.first], Lam[: event.first, : event.first]
+            elif isinstance(event, Leaving):
                 lam, Lam = event.M.T @ lam, event.M.T @ Lam @ event.M
             else:
-                lam, Lam = _ungrow(event, lam, Lam, p)
+                lam, Lam = _unremove(event, lam, Lam)
         P = np.array(covariances[::-1]).reshape(-1, p, p)
         return frames[::-1], np.array(errors[::-1]).reshape(-1, p), 0.5 * (P + np.swapaxes(P, 1, 2))
 
@@ -142,8 +110,8 @@ class History:
 
 
 def _uncorrect(event: Correction, lam: FloatArray, Lam: FloatArray) -> None:
-    H, W_t, touched = event.H, event.W_t, event.touched
-    lam[touched] += H.T @ (event.e - W_t @ lam)
+    H, touched, (_, W_t, e, _) = event.H_white, event.touched, event.update
+    lam[touched] += H.T @ (e - W_t @ lam)
     # (I - K H)^T from the left, then its transpose from the right: multiplied out, the terms would cancel
     # and rounding would grow from frame to frame.
     Lam[touched] -= H.T @ (W_t @ Lam)
@@ -153,14 +121,24 @@ def _uncorrect(event: Correction, lam: FloatArray, Lam: FloatArray) -> None:
     Lam *= 0.5
 
 
-def _ungrow(event: Growth, lam: FloatArray, Lam: FloatArray, p: int) -> tuple[FloatArray, FloatArray]:
-    old = lam.size - event.G.shape[0]
+def _ungrow(event: Growth, lam: FloatArray, Lam: FloatArray) -> tuple[FloatArray, FloatArray]:
     G = event.G
+    old = lam.size - G.shape[0]
+    of = slice(event.first, event.first + G.shape[1])
     lam_old, Lam_old = lam[:old].copy(), Lam[:old, :old].copy()
-    lam_old[:p] += G.T @ lam[old:]
-    # [I; G 0]^T Lam [I; G 0]: the pose's error now also stands for the states it created.
+    lam_old[of] += G.T @ lam[old:]
+    # [I; G 0]^T Lam [I; G 0]: the error that made the new states now also stands for them.
     across = G.T @ Lam[old:, :old]
-    Lam_old[:p] += across
-    Lam_old[:, :p] += across.T
-    Lam_old[:p, :p] += G.T @ Lam[old:, old:] @ G
+    Lam_old[of] += across
+    Lam_old[:, of] += across.T
+    Lam_old[of, of] += G.T @ Lam[old:, old:] @ G
+    return lam_old, Lam_old
+
+
+def _unremove(event: Removal, lam: FloatArray, Lam: FloatArray) -> tuple[FloatArray, FloatArray]:
+    keep = np.delete(np.arange(event.size), event.states)
+    lam_old, Lam_old = np.zeros(event.size), np.zeros((event.size, event.size))
+    # No later innovation says anything about a state that has gone.
+    lam_old[keep] = lam
+    Lam_old[np.ix_(keep, keep)] = Lam
     return lam_old, Lam_old

@@ -31,8 +31,7 @@ from slamcmp.backends.filters.charts import Chart, LeftInvariantChart, RightInva
 from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import LatestEstimate
-from slamcmp.backends.filters.rts_smoother import Step
-from slamcmp.backends.filters.unanchored import square_root
+from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.geometry import exp
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, Frame, IntArray, Problem
@@ -97,45 +96,40 @@ class UkfSlam(ErrorStateEkf):
         _, H, Omega = self._regression(moved, P)
         F, G = H[:, :p], H[:, p:]
         noise = G @ frame.Q @ G.T + Omega
-        self._P.propagate(F, noise)
+        self._P.move(F, Q=noise)
         self._T = T_after
-        if self.history is not None:
-            self.history.events.append(Step(F))
-        if self._unanchored is not None:
-            self._unanchored.move(F, None, square_root(noise))
 
     def _augment(self, entries: Entries) -> FloatArray:
-        ids, z, R, _ = entries
         sensor = self._entry_sensor
-        p, d, m = self._chart.p, sensor.dim, ids.size
-        positions = placed(sensor, self._T, entries, self._k)
+        p, d, m = self._chart.p, sensor.dim, entries.ids.size
+        positions = placed(sensor, self._T, entries, self._P.frame)
 
         def entered(errors: FloatArray) -> FloatArray:
             poses = self._chart.retract(self._T, self._landmarks[:0], errors[:, :p])[0]
-            noisy = z + errors[:, p:].reshape(-1, m, d)
+            noisy = entries.z + errors[:, p:].reshape(-1, m, d)
             landmarks = sensor.invert(poses[:, None], noisy)
             return self._chart.errors(self._T, positions, poses, landmarks)[:, p:]
 
         P = np.zeros((p + m * d, p + m * d))
-        P[:p, :p], P[p:, p:] = self._P.pose_block(), block_diagonal(R)
+        P[:p, :p], P[p:, p:] = self._P.pose_block(), block_diagonal(entries.R)
         _, H, Omega = self._regression(entered, P)
         G, D = H[:, :p], H[:, p:]
-        self._grow(ids, positions, G, D @ P[p:, p:] @ D.T + Omega)
+        self._enter(entries, positions, G, D @ P[p:, p:] @ D.T + Omega)
         return G
 
-    def _correct(self, numbers: IntArray, z: FloatArray, R: FloatArray) -> None:
-        seen, touched = self._landmarks[numbers], self._touched(numbers)
-        z_mean = self._sensor.predict(self._T, seen)
+    def _correct(self, seen: Observed) -> None:
+        landmarks = self._landmarks[seen.numbers]
+        touched = self._P.touch(seen.numbers, self._landmarks)
+        z_mean = self._sensor.predict(self._T, landmarks)
 
         def observed(errors: FloatArray) -> FloatArray:
-            poses, landmarks = self._chart.retract(self._T, seen, errors)
-            difference = self._sensor.residual(self._sensor.predict(poses[:, None], landmarks), z_mean)
+            poses, moved = self._chart.retract(self._T, landmarks, errors)
+            difference = self._sensor.residual(self._sensor.predict(poses[:, None], moved), z_mean)
             return difference.reshape(len(errors), -1)
 
-        P = self._P.columns(touched, self._chart.n)[touched]
-        mean, H, Omega = self._regression(observed, P)
-        y = self._sensor.residual(z, z_mean).ravel() - mean
-        dx = self._condition(touched, y, H, block_diagonal(R) + Omega)
+        mean, H, Omega = self._regression(observed, self._P.block(touched))
+        y = self._sensor.residual(seen.z, z_mean).ravel() - mean
+        dx = self._P.observe(touched, H, block_diagonal(seen.R) + Omega, y)
         self._T, self._landmarks = self._chart.retract(self._T, self._landmarks, dx)
 
     def _regression(

@@ -28,6 +28,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slamcmp.backends.filters.error_covariance import (
+    Correction,
+    Event,
+    Growth,
+    Joining,
+    Leaving,
+    Removal,
+    Step,
+)
 from slamcmp.types import FloatArray, IntArray
 
 
@@ -64,17 +73,39 @@ class UnanchoredFilter:
         # Columns: the noise of a step in progress, the landmarks, the pose.
         self._rows: list[FloatArray] = [np.empty((0, p))]
         self._squares = np.zeros(p)
+        self._joined_at, self._joined_root = 0, np.empty((p, 0))
 
-    def shake(self, q: int) -> None:
-        """Let unit noise u (q,) of the step in progress join; ``move`` takes it out again."""
+    def hear(self, event: Event) -> None:
+        """Do what the filter did."""
+        if isinstance(event, Step):
+            W = event.W if event.Q is None else square_root(event.Q)
+            if W is not None:
+                self._shake(W.shape[1])
+            self._step(event.F, event.D, W)
+        elif isinstance(event, Growth):
+            self._grow(event)
+        elif isinstance(event, Correction):
+            self._observe(event)
+        elif isinstance(event, Removal):
+            self._drop(event.states)
+        elif isinstance(event, Joining):
+            self._joined_at, self._joined_root = event.first, square_root(event.Q)
+            self._shake(len(event.Q))
+        elif isinstance(event, Leaving):
+            self._step(event.F, event.D, event.W @ self._joined_root)
+
+    def told(self) -> tuple[FloatArray, FloatArray]:
+        """Root (p, p) of the information on the pose without the map, and its scale (p,), in the chart."""
+        return last_block(self._triangle(), self._p), np.sqrt(self._squares)
+
+    def _shake(self, q: int) -> None:
+        """Let unit noise u (q,) of the step in progress join."""
         R = self._triangle()
         self._rows = [np.concatenate([np.eye(q, q + self._states), np.pad(R, ((0, 0), (q, 0)))])]
         self._noise = q
 
-    def move(self, F: FloatArray | None, D: FloatArray | None = None, W: FloatArray | None = None) -> None:
-        """x becomes F, D times x plus W u; None: unchanged, or no noise."""
-        if W is not None and not self._noise:
-            self.shake(W.shape[1])
+    def _step(self, F: FloatArray | None, D: FloatArray | None, W: FloatArray | None) -> None:
+        """x becomes F, D times x plus W u, which takes u out again."""
         p, q = self._p, self._noise
         R = self._triangle()
         if F is not None:
@@ -88,42 +119,39 @@ class UnanchoredFilter:
         self._noise = 0
         self._rows = [R]
 
-    def grow(self, G: FloatArray, N: FloatArray, by_noise: FloatArray | None = None) -> None:
-        """New landmarks last: G (a, p) times the pose's error, ``by_noise`` (a, q) u, noise N (a, a)."""
-        a, p = G.shape
+    def _grow(self, growth: Growth) -> None:
+        a, p = growth.G.shape
         R = self._triangle()
         grown = np.concatenate([R[:, :-p], np.zeros((len(R), a)), R[:, -p:]], axis=1)
         row = np.zeros((a, grown.shape[1]))
-        row[:, -p:] = -G
         row[:, -p - a : -p] = np.eye(a)
-        if by_noise is not None:
-            row[:, : self._noise] = -by_noise
+        if growth.first:
+            row[:, : self._noise] = -(growth.G @ self._joined_root)
+        else:
+            row[:, -p:] = -growth.G
         self._states += a
-        self._rows = [grown, _whitened(row, N)]
+        self._rows = [grown, _whitened(row, growth.N)]
         self._squares += (self._rows[1][:, -p:] ** 2).sum(axis=0)
 
-    def observe(
-        self, touched: IntArray, H: FloatArray, noise: FloatArray, by_noise: FloatArray | None = None
-    ) -> None:
-        """Rows H (k, c) on the states ``touched`` (c,), plus ``by_noise`` (k, q) u, of covariance (k, k)."""
+    def _observe(self, correction: Correction) -> None:
+        touched, H = correction.touched, correction.H
         row = np.zeros((len(H), self._noise + self._states))
+        if self._noise:
+            at, p = self._joined_at, self._p
+            joined = (touched >= at) & (touched < at + p)
+            row[:, : self._noise] = H[:, joined] @ self._joined_root
+            touched, H = touched[~joined], H[:, ~joined]
+            touched = np.where(touched < at, touched, touched - p)
         row[:, self._columns(touched)] = H
-        if by_noise is not None:
-            row[:, : self._noise] = by_noise
-        self._rows.append(_whitened(row, noise))
+        self._rows.append(_whitened(row, correction.R))
         self._squares += (self._rows[-1][:, -self._p :] ** 2).sum(axis=0)
 
-    def drop(self, states: IntArray) -> None:
-        """Marginalise landmarks' states (s,) between two steps; the others close ranks in their order."""
+    def _drop(self, states: IntArray) -> None:
         R = self._triangle()
         columns = self._columns(states)
         keep = np.setdiff1d(np.arange(R.shape[1]), columns)
         self._rows = [triangular(R[:, np.concatenate([columns, keep])])[states.size :, states.size :]]
         self._states -= states.size
-
-    def told(self) -> tuple[FloatArray, FloatArray]:
-        """Root (p, p) of the information on the pose without the map, and its scale (p,), in the chart."""
-        return last_block(self._triangle(), self._p), np.sqrt(self._squares)
 
     def _columns(self, states: IntArray) -> IntArray:
         p, map_size = self._p, self._states - self._p

@@ -22,7 +22,7 @@ class Counted:
     def __init__(self, stream: MeasurementStream, active: int, **parameters: Any) -> None:
         self.flushes = 0
         self.ekf = EkfSlam(stream.problem, active_landmarks=active, **parameters)
-        covariance = self.ekf._P
+        covariance = self.ekf._P.storage
         assert isinstance(covariance, PostponedCovariance)
         flush = covariance._flush
 
