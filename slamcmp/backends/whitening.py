@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
@@ -52,23 +51,22 @@ def whiteners(covariances: FloatArray) -> FloatArray:
     return W
 
 
-class WhitenedUpdate(NamedTuple):
-    """A measurement update in units of its innovation's standard deviations, S = L L^T."""
+def whitened_update(
+    S: FloatArray, PHt_t: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """A measurement update in units of its innovation's standard deviations, S = L L^T.
 
-    L: FloatArray
-    """(k, k), lower triangular."""
-    W_t: FloatArray
-    """(P H^T L^-T)^T, (k, states): P loses W W^T."""
-    e: FloatArray
-    """L^-1 y, (k,): the mean moves by W e."""
-    nis: float
-    """|e|²; NaN where S is not positive definite or y not finite."""
+    Args:
+        S: innovation covariance, (k, k).
+        PHt_t: (P H^T)^T, (k, states); may be overwritten.
+        y: innovation, (k,).
 
-
-def whitened_update(S: FloatArray, PHt_t: FloatArray, y: FloatArray) -> WhitenedUpdate:
-    """From S (k, k), (P H^T)^T (k, states), which may be overwritten, and the innovation y (k,)."""
+    Returns:
+        L (k, k), lower triangular; W^T = L^-1 (P H^T)^T (k, states), where P loses W W^T; e = L^-1 y (k,),
+        by which the mean moves W e; and the NIS |e|², NaN where S is not positive definite or y not finite.
+    """
     L, failed = dpotrf(S, lower=1)
     W_t, _ = dtrtrs(L, PHt_t, lower=1, overwrite_b=1)
     e, _ = dtrtrs(L, y, lower=1)
     # dpotrf lets NaN through; it always reaches the NIS.
-    return WhitenedUpdate(L, W_t, e, math.nan if failed else float(e @ e))
+    return L, W_t, e, (math.nan if failed else float(e @ e))

@@ -19,11 +19,14 @@ NOT_OWN = {
     "batch": "gtsam's",
     "fixed_lag": "gtsam's",
 }
-TO_COME = {"sliding_window"}
+ANOTHER_ORDER = {
+    # A window of w poses is solved with w poses: its oldest leaves as soon as the new one has come.
+    "sliding_window": ["construct", "marginalise", "solve"],
+}
 
 
 def own_estimators() -> list[Any]:
-    names = [name for name in back_ends.names() if name not in NOT_OWN and name not in TO_COME]
+    names = [name for name in back_ends.names() if name not in NOT_OWN]
     return [pytest.param(back_ends.get(name).target, id=name) for name in names]
 
 
@@ -42,8 +45,8 @@ def calls_in_order(method: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("estimator", own_estimators())
-def test_update_reads_construct_solve_marginalise(estimator: Any) -> None:
-    assert calls_in_order(estimator.update) == STEPS
+def test_update_reads_construct_solve_marginalise(estimator: Any, request: pytest.FixtureRequest) -> None:
+    assert calls_in_order(estimator.update) == ANOTHER_ORDER.get(request.node.callspec.id, STEPS)
     for step in STEPS:
         assert inspect.getdoc(getattr(estimator, step)), f"{step} does not say what it is here"
 

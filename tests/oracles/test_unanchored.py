@@ -13,7 +13,6 @@ from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.robocentric import RobocentricEkf
 from slamcmp.backends.filters.ukf import UkfSlam
 from slamcmp.backends.filters.unanchored import UnanchoredFilter
-from slamcmp.backends.whitening import whitened_update
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.metrics.observability import nullity, unanchored_information
 from tests.oracles.filters import CONSISTENT, BodyEkf, maker, run, world_of
@@ -57,7 +56,7 @@ def test_square_root_against_dense_normal_equations() -> None:
         x = F[k] @ x + W[k] @ np.eye(q, size, p + k * q)
         number = k % 2
         touched = np.concatenate([np.arange(p), p + n * number + np.arange(n)])
-        recorded.hear(Correction(touched, H[k], R, whitened_update(R, H[k], np.zeros(4))))
+        recorded.hear(Correction(touched, H[k], R, np.linalg.cholesky(R), H[k], np.zeros(4)))
         rows.append(H[k] @ np.concatenate([x, land[n * number : n * number + n]]) / np.sqrt(0.3))
     A = np.concatenate(rows)
     covariance = x @ np.linalg.inv(A.T @ A) @ x.T

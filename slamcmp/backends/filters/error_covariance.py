@@ -39,7 +39,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.filters.postponed import PostponedCovariance
-from slamcmp.backends.whitening import WhitenedUpdate, whitened_update
+from slamcmp.backends.whitening import whitened_update
 from slamcmp.errors import DivergedError
 from slamcmp.types import FloatArray, IntArray
 
@@ -100,17 +100,21 @@ class Growth:
 
 @dataclass(frozen=True)
 class Correction:
-    """A measurement was taken in: H (k, c) on the states touched (c,), with noise R."""
+    """A measurement was taken in: H (k, c) on the states touched (c,), with noise R, whitened by L."""
 
     touched: IntArray
     H: FloatArray
     R: FloatArray
-    update: WhitenedUpdate
+    L: FloatArray
+    W_t: FloatArray
+    """(P H^T L^-T)^T, (k, states)."""
+    e: FloatArray
+    """L^-1 y, (k,)."""
 
     @property
     def H_white(self) -> FloatArray:
-        """L^-1 H."""
-        whitened, _ = dtrtrs(self.update.L, self.H, lower=1)
+        """L^-1 H, (k, c)."""
+        whitened, _ = dtrtrs(self.L, self.H, lower=1)
         return np.asarray(whitened, dtype=np.float64)
 
 
@@ -265,15 +269,16 @@ class ErrorCovariance:
             PHt_t = (columns @ H.T).T
             S = H @ PHt_t.T[touched]
         S += R
-        update = whitened_update(S, PHt_t, y)
-        if not math.isfinite(update.nis):
+        L, W_t, e, nis = whitened_update(S, PHt_t, y)
+        if not math.isfinite(nis):
             raise lost_covariance(self.frame)
-        self.storage.downdate(update.W_t)
-        self.nis, self.nis_dof = self.nis + update.nis, self.nis_dof + y.size
+        # Before the downdate, which takes W from the cache.
+        dx: FloatArray = e @ W_t
+        self.storage.downdate(W_t)
+        self.nis, self.nis_dof = self.nis + nis, self.nis_dof + y.size
         if self._listeners:
             matrix = H.dense() if isinstance(H, StackedJacobian) else H
-            self._tell(Correction(self.storage.states(touched), matrix, R, update))
-        dx: FloatArray = update.e @ update.W_t
+            self._tell(Correction(self.storage.states(touched), matrix, R, L, W_t, e))
         return dx
 
     def drop(self, states: IntArray) -> None:

@@ -50,6 +50,8 @@ class MapFilter:
         self._number: dict[int, int] = {}
         """A landmark's place in the map, by its name, in the order in which they entered."""
         self._dropped = 0
+        self._points: tuple[FloatArray, FloatArray, IntArray] | None = None
+        """Where the frame's observations were linearised: pose, landmarks (m, n), and their numbers (m,)."""
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
@@ -97,7 +99,7 @@ class MapFilter:
     def _begin(self, frame: Frame) -> None:
         """What diagnostics tell is from now on about this frame."""
         self._P.begin_frame(frame.k)
-        self._dropped = 0
+        self._dropped, self._points = 0, None
 
     def _sorted(self, frame: Frame) -> Observed:
         """The frame's observations of landmarks in the state, and the landmarks that enter."""
@@ -136,11 +138,7 @@ class MapFilter:
 class LinearisingFilter(MapFilter):
     """A map filter that can tell what its own linear system claims."""
 
-    def __init__(self, problem: Problem, chart: Chart, P: ErrorCovariance) -> None:
-        super().__init__(problem, chart, P)
-        self._unanchored: UnanchoredFilter
-        self._points: tuple[FloatArray, FloatArray, IntArray] | None = None
-        """Where the frame's observations were linearised: pose, landmarks (m, n), and their numbers (m,)."""
+    _unanchored: UnanchoredFilter
 
     def record_linearisation(self) -> None:
         """Keep what :meth:`linearisation` needs, from the first frame on."""
@@ -160,10 +158,6 @@ class LinearisingFilter(MapFilter):
             return Linearisation(root, scale)
         T_at, landmarks_at, numbers = self._points
         return Linearisation(root, scale, T_at, landmarks_at, self._landmarks[numbers])
-
-    def _begin(self, frame: Frame) -> None:
-        super()._begin(frame)
-        self._points = None
 
 
 def stacked(H_pose: FloatArray, H_land: FloatArray) -> FloatArray:

@@ -110,8 +110,8 @@ class History:
 
 
 def _uncorrect(event: Correction, lam: FloatArray, Lam: FloatArray) -> None:
-    H, touched, (_, W_t, e, _) = event.H_white, event.touched, event.update
-    lam[touched] += H.T @ (e - W_t @ lam)
+    H, W_t, touched = event.H_white, event.W_t, event.touched
+    lam[touched] += H.T @ (event.e - W_t @ lam)
     # (I - K H)^T from the left, then its transpose from the right: multiplied out, the terms would cancel
     # and rounding would grow from frame to frame.
     Lam[touched] -= H.T @ (W_t @ Lam)
