@@ -10,10 +10,13 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 import pytest
 
-from slamcmp.results.numbers import number_text
+from slamcmp.metrics.statistics import ratio_interval
+from slamcmp.results.numbers import interval_text, number_text
 from tests.anchors.reference import read
 from tests.quoted import Quoted
 
@@ -114,8 +117,92 @@ def consistency() -> Iterator[str]:
     yield f"over {read('anchors_p1')['seeds']} runs"
 
 
-MEASURED = {"consistency.md": consistency, "from-filter-to-smoother.md": from_filter_to_smoother}
+def association() -> Iterator[str]:
+    share = "source.outlier_fraction"
+    none, some, many = (Quoted("association", {share: outliers}) for outliers in (0.0, 0.05, 0.1))
+    shared = Quoted("association_shared", {share: 0.05})
+    recall = "gate_recall"
+
+    def passed(runs: Quoted, label: str) -> str:
+        return f"{100 * runs.of(label, recall).median():.1f} %"
+
+    for name, label, differs in (
+        ("EKF", "EKF", ()),
+        ("FEJ-EKF", "FEJ-EKF", (False, False)),
+        ("ideal EKF (Jacobians at the truth)", "ideal EKF", (True, True)),
+        ("right-invariant EKF", "right-invariant EKF", (True, True)),
+        ("iSAM2", "iSAM2", (True, True)),
+    ):
+        row = [name, passed(none, label), none.median(label, NEES), f"{none.median(label, ATE)} m"]
+        for column, different in zip((NEES, ATE), differs, strict=False):
+            row.append(none.times(label, "EKF", column, differs=different).replace(" times", ""))
+        yield f"| {' | '.join(row)} |"
+    yield f"The EKF's keeps {passed(none, 'EKF')} of the correct"
+    yield f"iSAM2's keeps {passed(none, 'iSAM2')}"
+    labels = ("EKF", "FEJ-EKF", "right-invariant EKF", "ideal EKF", "iSAM2")
+    ranks = []
+    for runs in (none, some, many):
+        both = pd.concat([pd.concat([runs.of(x, recall), runs.of(x, NEES)], axis=1) for x in labels])
+        ranks.append(f"{both.corr('spearman').iloc[0, 1]:.2f}".replace("-", "−"))
+    yield f"correlation {ranks[0]}; {ranks[1]} and {ranks[2]} with 5 and 10 % outliers"
+    assert none.median("EKF", "nis_per_dof") == "1.02"
+    yield "it is 1.02 for the EKF"
+    lost = {label: none.of(label, recall)[none.of(label, recall) < 0.8] for label in labels}
+    worse = (none.of("ideal EKF", recall) < none.of("EKF", recall)).sum()
+    assert lost["EKF"].size == lost["ideal EKF"].size
+    assert not lost["iSAM2"].size
+    yield f"is lost in {lost['ideal EKF'].size} of 20 runs (below 80 %), as the EKF is"
+    yield f"rejects more than it in {worse}."
+    yield f"The right-invariant filter is lost in {lost['right-invariant EKF'].size},"
+    yield f"filter is {none.times('ideal EKF', 'right-invariant EKF', NEES, differs=True)} that"
+    yield f"and that {none.times('right-invariant EKF', 'iSAM2', NEES, differs=True)} iSAM2's"
+    yield f"lost run keeps {100 * lost['right-invariant EKF'].median():.0f} % in all"
+    assert all(some.of(label, recall).median() < none.of(label, recall).median() - 0.05 for label in labels)
+    for label, text in (
+        ("EKF", "{} pass the EKF's"),
+        ("right-invariant EKF", "{} the"),
+        ("iSAM2", "{} iSAM2's."),
+    ):
+        yield text.format(passed(some, label))
+    for name, label, which, differs in (
+        ("EKF", "EKF", "online", (True, False)),
+        ("right-invariant EKF", "right-invariant EKF", "online", (False, False)),
+        ("iSAM2, online", "iSAM2", "online", (True, False)),
+        ("iSAM2, final", "iSAM2", "final", (True, True)),
+    ):
+        columns = (f"{which}_pose_nees", f"{which}_ate")
+        row = [name]
+        for runs in (some, shared):
+            row.append(f"{runs.median(label, columns[0])}, {runs.median(label, columns[1])} m")
+        for column, different in zip(columns, differs, strict=True):
+            ratio = ratio_interval(*aligned(some.of(label, column), shared.of(label, column)))
+            assert (not ratio.low <= 1.0 <= ratio.high) == different, (name, ratio)
+            row.append(f"{number_text(ratio.estimate)} ({interval_text(ratio)})")
+        yield f"| {' | '.join(row)} |"
+
+
+def aligned(first: pd.Series[float], other: pd.Series[float]) -> tuple[Any, Any]:
+    """The values of the seeds that both have."""
+    both = pd.concat([first, other], axis=1).dropna().to_numpy(float)
+    return both[:, 0], both[:, 1]
+
+
+MEASURED = {
+    "association.md": association,
+    "consistency.md": consistency,
+    "from-filter-to-smoother.md": from_filter_to_smoother,
+}
 STATED = {
+    "association.md": (
+        "20 paired seeds, three shares of outliers",
+        "A circle of 38 m radius",
+        "Medians over 20 runs",
+        "with the 95 % interval",
+        "pose NEES (3)",
+        "where 99.9 % were asked for",
+        "With 5 % outliers another 5 % or more are lost",
+        "| 5 % outliers |",
+    ),
     "consistency.md": (
         "(3 in the plane, 6 in space)",
         "20 paired seeds at four noise levels",
@@ -159,3 +246,13 @@ def test_every_number_is_derived_or_a_setting(page: str) -> None:
     # Names that hold a digit are no numbers; list marks and headings neither.
     left = re.sub(r"\b[A-Za-z_]\w*\d\w*|`[^`]*`", "", text)
     assert not re.findall(r".{0,40}\d.{0,40}", left)
+
+
+def test_what_the_readme_says_of_its_real_log() -> None:
+    """The filter's NIS, and a map metres away from the batch solution's."""
+    page = " ".join((DOCS.parent / "README.md").read_text(encoding="utf-8").split())
+    park = Quoted("victoria_park")
+    nis = float(park.of("EKF", "nis_per_dof").item())
+    assert f"(NIS per degree of freedom {nis:.2f}), and yet its map is metres away" in page
+    assert float(park.of("EKF", "landmark_rmse").item()) > 2.0
+    assert float(park.of("iSAM2", "landmark_rmse").item()) < 0.1

@@ -33,7 +33,7 @@ UNTIMED = (
 )
 """Medians over the runs, for experiments without published numbers."""
 
-QUOTED = ("dial", "filter_vs_smoother", "observability", "association", "association_shared")
+QUOTED = ("dial", "filter_vs_smoother", "observability", "association", "association_shared", "victoria_park")
 """Experiments whose numbers stand in ``docs/``."""
 OF_A_RUN = (
     *UNTIMED,

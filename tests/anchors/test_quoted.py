@@ -1,0 +1,36 @@
+"""The shipped experiments that pages of ``docs/`` quote, and the tables that the quotes are derived from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.config.shipped import find_experiment
+from slamcmp.experiment.runner import run_experiment
+from slamcmp.results.grid import at_point
+from tests.anchors.reference import QUOTED, assert_reproduces, read, read_runs
+
+
+@pytest.mark.parametrize("name", QUOTED)
+def test_tables_of_runs_and_summaries_are_of_the_same_runs(name: str) -> None:
+    """Each median of the summary is that of the table; both hold every run of the shipped experiment."""
+    runs, summary, experiment = read_runs(name), read(name), load_experiment(find_experiment(name))
+    assert summary["experiment"] == f"experiments/{name}.yaml"
+    assert summary["status"] == runs["status"].value_counts().to_dict()
+    assert set(runs["label"]) == {back_end.label for back_end in experiment.back_ends}
+    assert not runs.drop(columns="status").duplicated().any()
+    for value in summary["values"]:
+        own = at_point(runs[(runs["label"] == value["label"]) & (runs["status"] == "ok")], value["at"])
+        assert len(own) == value["runs"], value
+        assert own[value["metric"]].median() == pytest.approx(value["measured"], rel=1e-4), value
+    assert json.dumps(summary).count("NaN") == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in QUOTED if name != "dial"])
+def test_quoted_experiments_give_what_is_quoted(name: str, tmp_path: Path) -> None:
+    results = run_experiment(load_experiment(find_experiment(name)), folder=tmp_path, executor="serial")
+    assert_reproduces(results, read(name))
