@@ -14,6 +14,7 @@ from slamcmp.datasets.wheel import find_file, wheel_file
 from slamcmp.errors import MissingDataError
 from slamcmp.registry import sources
 from slamcmp.types import Log
+from tests.recorded_data import recorded
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +139,26 @@ def test_wheel_files_are_where_gtsam_says(tmp_path):
     own.write_text("")
     assert find_file(str(own)) == own
     assert find_file("w100.graph") == wheel_file("w100.graph")
+
+
+def test_stamps_are_the_logs_laser_scans(cartesian):
+    """Each at a scan of the original log; the wheels moved in between what the file's odometry says."""
+    folder = recorded("victoria_park")
+    events = np.loadtxt(folder / "Sensors_manager.txt")
+    scans = events[events[:, 1] == 3, 0]
+    nearest = np.abs(scans[None, :] - cartesian.t[:, None])
+    assert nearest.min(axis=1).max() < 0.002
+    assert np.unique(nearest.argmin(axis=1)).size == 6969
+    # The encoder is at the left rear wheel, 0.76 m from the axle's middle; the wheel base is 2.83 m.
+    t, wheel, steering = np.loadtxt(folder / "DRS.txt").T
+    speed = wheel / (1 - 0.76 / 2.83 * np.tan(steering))
+    path = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))])
+    driven = np.diff(np.interp(cartesian.t, t, path))
+    measured = cartesian.T_prev_body[1:, 0, 2]
+    # The file's increments are speeds of one instant times the time step.
+    assert np.abs(driven - measured).max() < 0.1
+    assert driven.sum() == pytest.approx(measured.sum(), rel=1e-3)
+    # By frame number the two would be 33 m apart somewhere; so they are 4 m at most.
+    by_number = np.interp(np.linspace(cartesian.t[0], cartesian.t[-1], 6969), t, path)
+    apart = np.abs(np.interp(cartesian.t, t, path) - by_number).max()
+    assert apart > 30 > 4 > np.abs(np.cumsum(driven - measured)).max()
