@@ -6,20 +6,23 @@ for readers; ``runs/`` and ``streams/`` hold what a resumed run reuses, ``logs/`
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import io
 import json
 import math
+import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pandas as pd
 import pyarrow
 
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.atomic import storage_error, write_atomically
 from slamcmp.support.messages import told
 
 TABLES = ("trials", "frames", "landmarks")
@@ -55,31 +58,41 @@ class Results:
 
 
 def save_results(results: Results) -> None:
-    """Write the tables, then the manifest with their hashes; each file is replaced as a whole.
+    """Write the tables and the manifest with their hashes; nothing is replaced before all of it is written.
 
     Raises:
-        StorageError: the folder cannot be written; finished runs in it are not touched.
+        StorageError: the folder cannot be written; what was in it is not touched.
         DataError: a column holds what Parquet cannot.
     """
+    staging = results.folder / f".new.{os.getpid()}"
     digests = {}
-    for name in TABLES:
-        table: pd.DataFrame = getattr(results, name)
-        path = results.folder / f"{name}.parquet"
-        buffer = io.BytesIO()
-        try:
-            table.to_parquet(buffer, index=False, compression="zstd", write_page_checksum=True)
-        except (pyarrow.ArrowException, ValueError, TypeError) as error:
-            raise DataError(
-                f"{path}: the table of {name} has a column that Parquet cannot hold ({error}); the runs "
-                f"themselves are kept in {results.folder / 'runs'}"
-            ) from error
-        content = buffer.getbuffer()
-        write_atomically(path, lambda file, content=content: file.write(content))  # type: ignore[misc]
-        digests[name] = hashlib.sha256(content).hexdigest()
-    # So that the manifest of one run and a table of another are never read as one.
-    results.manifest[DIGESTS] = digests
-    text = json.dumps(finite(results.manifest), indent=2, default=str, allow_nan=False)
-    write_atomically(results.folder / MANIFEST, lambda file: file.write(text.encode()))
+    try:
+        for name in TABLES:
+            path = staging / f"{name}.parquet"
+            try:
+                write_atomically(path, functools.partial(_write_table, getattr(results, name)))
+            except (pyarrow.ArrowException, ValueError, TypeError) as error:
+                raise DataError(
+                    f"{results.folder / path.name}: the table of {name} has a column that Parquet cannot hold "
+                    f"({error}); the runs themselves are kept in {results.folder / 'runs'}"
+                ) from error
+            with path.open("rb") as file:
+                digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
+        # So that the manifest of one run and a table of another are never read as one.
+        results.manifest[DIGESTS] = digests
+        text = json.dumps(finite(results.manifest), indent=2, default=str, allow_nan=False)
+        write_atomically(staging / MANIFEST, lambda file: file.write(text.encode()))
+        for name in (*(f"{table}.parquet" for table in TABLES), MANIFEST):
+            try:
+                (staging / name).replace(results.folder / name)
+            except OSError as error:
+                raise storage_error(results.folder / name, error) from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _write_table(table: pd.DataFrame, file: IO[bytes]) -> None:
+    table.to_parquet(file, index=False, compression="zstd", write_page_checksum=True)
 
 
 def finite(value: Any) -> Any:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,9 +16,9 @@ import pytest
 from typer.testing import CliRunner
 
 from slamcmp.cli import app
-from slamcmp.errors import DataError, MissingDataError, SlamcmpError
+from slamcmp.errors import DataError, MissingDataError, SlamcmpError, StorageError
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.results.store import MANIFEST, TABLES, load_results
+from slamcmp.results.store import MANIFEST, TABLES, load_results, save_results
 
 Write = Callable[..., Path]
 
@@ -115,3 +117,26 @@ def test_every_command_that_reads_results_refuses_them(folder: Path, command: li
     assert isinstance(ended.exception, SlamcmpError)
     assert ended.exception.exit_code == 2
     assert "trials.parquet" in str(ended.exception)
+
+
+def test_a_full_disk_half_way_leaves_the_old_results_readable(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = load_results(folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    write = pd.DataFrame.to_parquet
+    written = []
+
+    def full(self: pd.DataFrame, file: Any, **options: Any) -> None:
+        if len(written) == 2:
+            raise OSError(28, "No space left on device")
+        written.append(self)
+        write(self, file, **options)
+
+    monkeypatch.setattr(pd.DataFrame, "to_parquet", full)
+    changed = replace(results, trials=results.trials.assign(message="another"))
+    with pytest.raises(StorageError, match="No space left on device"):
+        save_results(changed)
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+    assert not list(folder.glob(".new*"))
+    assert load_results(folder).trials["message"].tolist() == results.trials["message"].tolist()
