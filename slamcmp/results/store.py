@@ -73,8 +73,8 @@ def save_results(results: Results) -> None:
                 write_atomically(path, functools.partial(_write_table, getattr(results, name)))
             except (pyarrow.ArrowException, ValueError, TypeError) as error:
                 raise DataError(
-                    f"{results.folder / path.name}: the table of {name} has a column that Parquet cannot hold "
-                    f"({error}); the runs themselves are kept in {results.folder / 'runs'}"
+                    f"{results.folder / path.name}: the table of {name} has a column that Parquet cannot "
+                    f"hold ({error}); the runs themselves are kept in {results.folder / 'runs'}"
                 ) from error
             with path.open("rb") as file:
                 digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
