@@ -179,7 +179,8 @@ def describe_stop(
         **rule.model_dump(),
         "statistic": _statistic(rule),
         "reached": reached,
-        "coverage": search_coverage(rule.batch, rule.confidence, seeds),
+        # Of a search that ended by its rule; simulating it after each batch would cost more than the runs.
+        "coverage": search_coverage(rule.batch, rule.confidence, seeds) if reached else None,
         "seeds": seeds,
         "reason": reason,
         "intervals": [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,8 +99,10 @@ def test_stopping_by_width_costs_as_much_coverage_as_is_told() -> None:
     # Nominal 0.95; four standard deviations (0.006) below 0.93.
     assert 0.906 < covered < 0.97
     assert search_coverage(10, 0.95, round(seeds)) == pytest.approx(covered, abs=0.03)
-    told = describe_stop(StopRule(metric="m", half_width=1.0), [], 70)["coverage"]
-    assert told == search_coverage(10, 0.95, 70)
+    rule = StopRule(metric="m", half_width=1.0, of="each")
+    for goal, told in ((0.1, None), (9.0, search_coverage(10, 0.95, 70))):
+        found = [replace(each, goal=goal) for each in precisions(rule, table(a=[1.0, 2, 3, 4, 5, 6]), ["a"])]
+        assert describe_stop(rule, found, 70)["coverage"] == told
     assert search_coverage(2, 0.95, 66) < search_coverage(20, 0.95, 66)
     assert search_coverage(10, 0.8, 70) < 0.85
     # Too few for an interval, and a batch that is the whole search.

@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 
 from slamcmp.report import summary_table, write_report
 from slamcmp.report.cautions import cautions, distance_in_sigmas
-from slamcmp.report.html import number_text, report_html
+from slamcmp.report.html import _search_text, number_text, report_html
 from slamcmp.results.certainty import certainty_table, last_frame_nees, worst_run
 from slamcmp.results.summary import paired_table, terminal_table
 
@@ -226,6 +226,11 @@ def test_page_shows_intervals_the_search_and_the_faults(swept):
     manifest = {**swept.manifest, "until": search, "config": {"figures": ["time"]}}
     text = report_html(dataclasses.replace(swept, trials=trials, manifest=manifest))
     assert "within ±5 %, at most 20 seeds: every interval is narrow enough with 20 seeds." in text
+    assert "still holds the median a little less often." in text
+    told = _search_text({"until": search | {"coverage": 0.934}})
+    assert told.endswith(
+        "an interval that ends a search still holds the median a little less often: about 93 %."
+    )
     page = Page(text)
     faults = page.tables[3]
     assert len(faults) == 1 + 3
