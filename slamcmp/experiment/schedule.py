@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import slamcmp.errors
-from slamcmp.errors import MissingDataError, SlamcmpError, StorageError
+from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.executors import Ended, Executor
 from slamcmp.experiment.job.task import Task, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.plan import Plan
+from slamcmp.experiment.samples import Samples
 from slamcmp.experiment.trials import RunJob, StreamJob, Trial
 from slamcmp.metrics import score_run
 from slamcmp.results.run_file import StoredRun, load_run, load_truth, run_status, save_run
@@ -53,10 +54,13 @@ class Schedule:
         self.fatal: SlamcmpError | None = None
         self.done = 0
         self._frames: dict[str, tuple[str, int]] = {}
+        self._samples, self._sampled = Samples(), set[str]()
+        self._trials_of: dict[str, list[Trial]] = {}
         self._names: dict[str, str] = {}
         self._waiting: dict[str, list[RunJob]] = {}
         self._ready: deque[StreamJob | RunJob] = deque(plan.streams.values())
         for trial in plan.trials:
+            self._trials_of.setdefault(trial.stream.key, []).append(trial)
             self._names.setdefault(trial.stream.key, f"stream{self._suffix(trial)}")
             for job in trial.runs:
                 self._names.setdefault(job.key, f"{job.back_end.label}{self._suffix(trial)}")
@@ -85,6 +89,17 @@ class Schedule:
                 if not (ended.fault and self._stop.is_set()):
                     self._finish(ended)
             self._watcher.advanced(self._workers.frames_done())
+            self._require_samples()
+
+    def _require_samples(self) -> None:
+        """Start nothing more where two seeds or recordings turned out to be one stream."""
+        for key in self._frames.keys() - self._sampled:
+            self._sampled.add(key)
+            try:
+                for trial in self._trials_of.get(key, ()):
+                    self._samples.add(trial, self._frames[key][0])
+            except UsageError as error:
+                self.fatal = error
 
     def _suffix(self, trial: Trial) -> str:
         if not self._several_trials:

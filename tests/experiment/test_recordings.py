@@ -148,6 +148,8 @@ def test_twelve_seeds_of_one_recording_are_no_twelve_samples(three: Path) -> Non
         UsageError, match=r"'own\.py:recorded' makes one and the same stream .* of seeds 0 and 1"
     ):
         run_experiment(path, folder=three / "r", jobs=1)
+    # No more is run than had begun when the second stream was made.
+    assert len(list((three / "r" / "runs").glob("*.npz"))) <= 4
     one = run_experiment(
         experiment_file(three, "{name: 'own.py:recorded'}", "sweep: {source.steps: [5, 20]}\n"),
         folder=three / "r",

@@ -98,12 +98,11 @@ def _require_use_of_relative_poses(plugin: Plugin, stream: MeasurementStream) ->
     for frame in stream.frames:
         if frame.relative_poses is not None:
             raise UsageError(
-                f"{plugin.name} cannot use loop closures between poses (frame {frame.k} is related to frame "
-                f"{frame.relative_poses.frames[0]}): its state has no earlier poses. Take a smoother "
-                "(isam2, batch; "
-                "fixed_lag within its lag), or set the source's closures to 'places', which replaces "
-                "them by sights "
-                "of places for every back end"
+                f"{plugin.name} takes no loop closures between poses (frame {frame.k} is related to frame "
+                f"{frame.relative_poses.frames[0]}): take a smoother (isam2, batch; fixed_lag within "
+                "its lag), or "
+                "set the source's closures to 'places', which replaces them by sights of places for "
+                "every back end"
             )
 
 

@@ -112,7 +112,7 @@ def test_filters_refuse_and_places_serve_them(tmp_path: Path) -> None:
         "dead_reckoning": "ok",
     }
     told = trials.set_index("label")["message"]["ekf_slam"]
-    assert "ekf_slam cannot use loop closures between poses (frame " in told
+    assert "ekf_slam takes no loop closures between poses (frame " in told
     assert "set the source's closures to 'places'" in told
     (tmp_path / "places.yaml").write_text(
         "source: {name: graph_file, path: w100.graph, steps: 40, closures: places}\n"
