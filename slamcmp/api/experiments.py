@@ -78,8 +78,13 @@ def run(
     with in_session(own):
         if isinstance(experiment, Mapping):
             experiment = parse_experiment(CodeSource("experiment", given), None)
-        elif not isinstance(experiment, Experiment):
+        elif isinstance(experiment, str | os.PathLike):
             experiment = load_experiment(find_experiment(os.fspath(experiment)))
+        elif not isinstance(experiment, Experiment):
+            raise UsageError(
+                "run: an experiment is a file, a shipped name, a mapping or an Experiment, not "
+                f"{type(experiment).__name__}"
+            )
         if own and executor == "processes":
             raise UsageError(
                 f"executor 'processes': {_names(own)} is known to this process only; leave it out"

@@ -78,10 +78,10 @@ def missing_runs(results: Results) -> Missing | None:
     if not names:
         return _without_configuration(results)
     seeds = results.manifest.get("seeds") or config.get("seeds") or results.trials["seed"].unique().tolist()
+    ran = results.trials[~results.trials["status"].isin(NOT_RUN)]
     there = {
-        (*(_cell(row.get(path)) for path in sweep), _cell(row["seed"]), str(row["label"]))
-        for row in results.trials.to_dict("records")
-        if row["status"] not in NOT_RUN
+        (*(_cell(value) for value in row[:-1]), str(row[-1]))
+        for row in ran.reindex(columns=[*sweep, "seed", "label"]).itertuples(index=False, name=None)
     }
     rows, trials = [], 0
     for values in itertools.product(*sweep.values()):

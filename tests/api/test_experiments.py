@@ -179,6 +179,12 @@ def test_worker_processes_are_refused_for_what_they_cannot_import(
         ran([local_class], executor="processes")
 
 
+@pytest.mark.parametrize("wrong", [3, None, Reckoner, ["quickstart"]])
+def test_what_is_no_experiment_is_told(wrong: Any) -> None:
+    with pytest.raises(slamcmp.UsageError, match="an experiment is a file, a shipped name, a mapping"):
+        slamcmp.run(wrong)
+
+
 def test_an_object_is_no_class(here: Path, ran: Callable[..., Any]) -> None:
     problem = slamcmp.make_stream("circle", steps=3, landmarks=3).problem
     with pytest.raises(slamcmp.UsageError, match="hand over the class"):

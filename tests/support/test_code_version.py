@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.support.code_version import PACKAGE, code_version, other_libraries
+from slamcmp.support.code_version import PACKAGE, code_version, import_closure, other_libraries
 
 
 def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> None:
@@ -19,6 +19,15 @@ def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> Non
     assert code_version([tmp_path / "mine.py"]) == first
     (tmp_path / "helper.py").write_text("GATE = 16\n")
     assert code_version([tmp_path / "mine.py"]) != first
+
+
+@pytest.mark.parametrize("name", ["TYPE_CHECKING", "typing.TYPE_CHECKING"])
+def test_imports_for_type_checkers_alone_are_no_part_of_what_computes(tmp_path: Path, name: str) -> None:
+    text = f"import typing\nfrom typing import TYPE_CHECKING\nif {name}:\n    import told\nelse:\n    import run\n"
+    (tmp_path / "mine.py").write_text(text)
+    (tmp_path / "told.py").write_text("import run\n")
+    (tmp_path / "run.py").touch()
+    assert import_closure([tmp_path / "mine.py"]) == {tmp_path / "mine.py", tmp_path / "run.py"}
 
 
 def test_libraries_of_others_are_known_by_their_version_or_their_absence(
