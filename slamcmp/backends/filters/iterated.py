@@ -27,7 +27,7 @@ from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
 from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.map_filter import Observed, stacked
-from slamcmp.backends.window.gauss_newton import relaxed_share
+from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.geometry import so3_left_jacobian
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, IntArray, Problem

@@ -11,7 +11,8 @@ from slamcmp.backends.entries import Entries, entering, has_blind_side, with_ima
 from slamcmp.backends.filters.charts import Chart
 from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_covariance import ErrorCovariance
-from slamcmp.backends.filters.unanchored import Linearisation, UnanchoredFilter
+from slamcmp.backends.filters.unanchored import UnanchoredFilter
+from slamcmp.backends.unanchored import Linearisation
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, SensorModel
 

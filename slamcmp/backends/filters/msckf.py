@@ -37,8 +37,8 @@ from slamcmp.backends.filters.charts import WorldChart
 from slamcmp.backends.filters.covariance import JointCovariance
 from slamcmp.backends.filters.error_covariance import ErrorCovariance
 from slamcmp.backends.filters.map_filter import sandwich
+from slamcmp.backends.sights import Sights, padded
 from slamcmp.backends.whitening import whiteners
-from slamcmp.backends.window.sights import Sights, padded
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.registry import back_ends
 from slamcmp.types import Detections, Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, Trajectory

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slamcmp.backends.sights import Measurements, Sights
 from slamcmp.backends.window.marginalisation import Quadratic
-from slamcmp.backends.window.sights import Measurements, Sights
 from slamcmp.geometry import adjoint, change_of_axes, inverse, log, right_jacobian
 from slamcmp.types import FloatArray, IntArray
 

@@ -34,8 +34,9 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from slamcmp.backends.entries import entering, has_blind_side, placed, places_by_itself, with_image
-from slamcmp.backends.filters.unanchored import Linearisation
-from slamcmp.backends.window.gauss_newton import GaussNewtonStep, relaxed_share
+from slamcmp.backends.relaxation import relaxed_share
+from slamcmp.backends.unanchored import Linearisation
+from slamcmp.backends.window.gauss_newton import GaussNewtonStep
 from slamcmp.backends.window.unanchored import UnanchoredWindow
 from slamcmp.backends.window.window import Policy, Window
 from slamcmp.registry import back_ends

@@ -1,6 +1,6 @@
 """What a window's linear system would claim about the last pose, had nothing been known at the start.
 
-As filters/unanchored.py, which says what for; here the marginal prior is carried on a second time, without
+As ../unanchored.py says; here the marginal prior is carried on a second time, without
 the prior on the first pose, linearised as the real one is.
 
 ========  =====================================================================
@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamcmp.backends.filters.unanchored import last_block, triangular
+from slamcmp.backends.sights import Measurements
+from slamcmp.backends.unanchored import last_block, triangular
 from slamcmp.backends.window.cost import LinearCost, ObservationTerms
 from slamcmp.backends.window.marginalisation import Prior
-from slamcmp.backends.window.sights import Measurements
 from slamcmp.backends.window.window import WindowListener
 from slamcmp.types import FloatArray, IntArray
 

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from slamcmp.backends.entries import places_by_itself
+from slamcmp.backends.sights import Measurements, Sights, padded
 from slamcmp.backends.whitening import whitener, whiteners
 from slamcmp.backends.window.cost import (
     LinearCost,
@@ -32,7 +33,6 @@ from slamcmp.backends.window.cost import (
 )
 from slamcmp.backends.window.gauss_newton import GaussNewtonStep
 from slamcmp.backends.window.marginalisation import Prior, Quadratic
-from slamcmp.backends.window.sights import Measurements, Sights, padded
 from slamcmp.geometry import retract_in_world_axes
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.types import BoolArray, FloatArray, Frame, IntArray, Problem

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from slamcmp.backends.filters.unanchored import Linearisation
+from slamcmp.backends.unanchored import Linearisation
 from slamcmp.errors import DivergedError
 from slamcmp.experiment.config.record import Record
 from slamcmp.metrics.information import landmark_drift, pose_drift

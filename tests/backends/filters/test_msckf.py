@@ -7,7 +7,7 @@ import pytest
 
 from slamcmp import geometry
 from slamcmp.backends.filters.msckf import Msckf, triangulate
-from slamcmp.backends.window.sights import Sights
+from slamcmp.backends.sights import Sights
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.errors import DivergedError
 from slamcmp.models.sensors import make_sensor

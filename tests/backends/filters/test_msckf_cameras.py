@@ -9,7 +9,7 @@ import pytest
 
 from slamcmp import geometry
 from slamcmp.backends.filters.msckf import Msckf, triangulate
-from slamcmp.backends.window.sights import Sights
+from slamcmp.backends.sights import Sights
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.types import MeasurementStream

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
+from slamcmp.backends.sights import Sights
 from slamcmp.backends.window.cost import ObservationTerms, OdometryTerms, observation_terms, odometry_terms
 from slamcmp.backends.window.gauss_newton import GaussNewtonStep
 from slamcmp.backends.window.marginalisation import Prior, Quadratic
-from slamcmp.backends.window.sights import Sights
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.models.sensors import RangeBearing, RelativePosition

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.backends.window.gauss_newton import relaxed_share
+from slamcmp.backends.relaxation import relaxed_share
 
 
 @pytest.mark.parametrize("curvature", [1.6, 2.0, 3.0, 10.0])
