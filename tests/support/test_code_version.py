@@ -23,8 +23,8 @@ def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("name", ["TYPE_CHECKING", "typing.TYPE_CHECKING"])
 def test_imports_for_type_checkers_alone_are_no_part_of_what_computes(tmp_path: Path, name: str) -> None:
-    text = f"import typing\nfrom typing import TYPE_CHECKING\nif {name}:\n    import told\nelse:\n    import run\n"
-    (tmp_path / "mine.py").write_text(text)
+    head = "import typing\nfrom typing import TYPE_CHECKING\n"
+    (tmp_path / "mine.py").write_text(f"{head}if {name}:\n    import told\nelse:\n    import run\n")
     (tmp_path / "told.py").write_text("import run\n")
     (tmp_path / "run.py").touch()
     assert import_closure([tmp_path / "mine.py"]) == {tmp_path / "mine.py", tmp_path / "run.py"}
