@@ -140,6 +140,11 @@ def test_stamps_that_differ_are_refused(shift_s, truth_of, trajectory_of):
         accuracy.ate(late, truth)
 
 
+def test_poses_of_another_space_are_refused(truth_of, trajectory_of):
+    with pytest.raises(DataError, match="not of the same space"):
+        accuracy.ate(trajectory_of(np.tile(np.eye(4), (3, 1, 1))), truth_of(np.tile(np.eye(3), (3, 1, 1))))
+
+
 def test_errors_in_space_have_three_axes(truth_of, trajectory_of):
     truth = truth_of(np.broadcast_to(np.eye(4), (2, 4, 4)))
     moved = np.broadcast_to(np.eye(4), (2, 4, 4)).copy()

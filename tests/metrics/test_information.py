@@ -114,3 +114,11 @@ def test_drift_of_poses_and_landmarks() -> None:
     np.testing.assert_allclose(
         landmark_drift(np.zeros((2, 2)), np.array([[3.0, 4.0], [0.0, 2.0]])), [5.0, 2.0]
     )
+
+
+@pytest.mark.parametrize("leading", [(), (2,), (4, 2)])
+def test_drift_of_landmarks_is_a_distance_for_any_leading_axes(leading: tuple[int, ...]) -> None:
+    before = np.zeros((*leading, 3))
+    np.testing.assert_allclose(
+        landmark_drift(before, before + np.array([2.0, 3.0, 6.0])), np.full(leading, 7.0)
+    )

@@ -232,6 +232,16 @@ def test_a_reference_must_have_finished_and_is_its_hindsight(straight):
         reference_truth(dataclasses.replace(run, status="diverged"))
 
 
+def test_a_reference_without_a_map_has_poses_only(straight):
+    run, _ = straight
+    reference = reference_truth(dataclasses.replace(run, landmarks=None))
+    assert (reference.ids.shape, reference.positions.shape) == ((0,), (0, 2))
+    scores = score_run(run, reference, reference=True)
+    # The run against itself: no difference of poses, and no landmark to compare.
+    assert scores["final_ate"] == 0.0
+    assert math.isnan(scores["landmark_rmse"])
+
+
 def test_every_metric_column_says_what_it_is():
     columns = metric_columns()
     assert columns["online_ate_aligned"].unit == "m"
