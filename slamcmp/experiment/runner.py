@@ -201,8 +201,7 @@ def _about_streams(trials: Sequence[Trial], folder: Path, reference: str | None)
         ] = None
     if without_truth and reference is None:
         warnings[
-            f"no truth in {without_truth} of {streams} streams, and so no errors: set reference to the "
-            "label of a "
-            "smoother, whose final solution then takes its place"
+            "no truth: set reference to the label of a smoother, whose final solution then takes its place "
+            f"({without_truth} of {streams} streams)"
         ] = None
     return {"front_end_totals": totals, "warnings": list(warnings)}
