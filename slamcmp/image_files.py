@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp import jpeg
 from slamcmp.errors import DataError, MissingDataError
 
 GrayImage = NDArray[np.uint8]
@@ -19,6 +20,10 @@ Size = tuple[int, int]
 
 _FLAT_SIGMA = 1.0
 """Grey levels; below this standard deviation an image holds nothing but sensor noise."""
+SIDE_MIN_PX = 47
+"""A smaller image has no place for a descriptor's patch and a corner's neighbours."""
+_PIXELS_MAX = 40_000_000
+"""Corners need some sixty bytes a pixel."""
 
 
 class UnusableImageError(DataError):
@@ -132,6 +137,8 @@ def image_problem(image: object, *, size: Size | None = None) -> str:
     problem = _shape_problem(image, size)
     if problem:
         return problem
+    if min(image.shape) < SIDE_MIN_PX:
+        return f"{image.shape[1]}×{image.shape[0]} pixels where at least {SIDE_MIN_PX} a side are needed"
     import cv2
 
     # A fifth of the time that numpy takes, which converts every pixel to a float first.
@@ -149,10 +156,18 @@ def _decoded(path: Path) -> NDArray[Any]:
     data = path.read_bytes()
     if _is_truncated(data):
         raise UnusableImageError(path, "the image file is truncated", f" ({len(data)} bytes, no end marker)")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
+    with jpeg.decoder_complaints(data) as complaints:
+        try:
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+        except cv2.error:
+            image = None
+    if complaints:
+        raise UnusableImageError(path, "the image file is damaged", f" ({complaints[0]})")
+    if image is not None and image.shape[0] * image.shape[1] > _PIXELS_MAX:
+        size = f"{image.shape[1]}×{image.shape[0]}"
+        raise UnusableImageError(
+            path, f"{size} pixels are more than {_PIXELS_MAX // 10**6} megapixels", "; make it smaller first"
+        )
     if image is None:
         raise UnusableImageError(
             path, "not an image that can be decoded, or damaged", f" ({len(data)} bytes)"
@@ -169,9 +184,8 @@ def _shape_problem(image: NDArray[Any], size: Size | None) -> str:
 
 def _is_truncated(data: bytes) -> bool:
     """Whether a JPEG or PNG stops before its end marker: some OpenCV versions then fill up with grey."""
-    if data.startswith(b"\xff\xd8"):
-        # Inside the coded picture FF is always followed by 00 or a restart marker, never by D9 or DA.
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda") or b"\xff\xda" not in data
+    if data.startswith(jpeg.START):
+        return not jpeg.is_whole(data)
     if data.startswith(b"\x89PNG"):
         return b"IEND" not in data[-64:]
     return False

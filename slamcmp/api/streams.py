@@ -66,5 +66,5 @@ def make_stream(
         truth=making.truth_of_stream(log.truth, stream),
         seed=seed,
         source=name,
-        warnings=log.warnings,
+        warnings=(*log.warnings, *(stream.report.warnings if stream.report else ())),
     )

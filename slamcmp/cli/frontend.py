@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from slamcmp.errors import DataError
+
 
 def add_commands(app: typer.Typer) -> None:
     """Put this file's command into the application."""
@@ -36,10 +38,14 @@ def frontend(
     """Harris corners, suppression and matches of photographs: three figures and a table of counts."""
     # Slow to import, and not needed for --help.
     from slamcmp.frontend.vision.image_pair import extract_features, match_features
-    from slamcmp.image_files import read_image
+    from slamcmp.image_files import image_problem, read_image
     from slamcmp.report.figures.front_end import draw_front_end, front_end_tables
 
     pictures = [read_image(path) for path in images]
+    for path, picture in zip(images, pictures, strict=True):
+        problem = image_problem(picture)
+        if problem:
+            raise DataError(f"{path}: {problem}")
     names = [path.stem for path in images]
     features = [
         extract_features(picture, count=count, suppression=suppression)  # type: ignore[arg-type]

@@ -41,6 +41,10 @@ _OWN = {"mono": set(), "stereo": {"baseline_m", "right"}, "rgbd": {"depth_units_
 _RIGHT = {"intrinsics", "distortion", "T_left_right"}
 
 
+_BASELINE_M = (0.002, 5.0)
+"""Of a pair on a robot or a car: an endoscope's, and twice that of KITTI's car and more."""
+
+
 @dataclass(frozen=True)
 class Calibration:
     """What a calibration file means for reading the images."""
@@ -92,16 +96,26 @@ def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: 
     if "baseline_m" in data:
         if lens.distortion.any():
             raise DataError(f"{path}: a pair with distortion is not rectified; give right, not baseline_m")
-        baseline = _positive(path, "baseline_m", data["baseline_m"])
+        baseline = _plausible_baseline(path, _positive(path, "baseline_m", data["baseline_m"]))
         camera = StereoCamera(**_intrinsics(lens.K), baseline_m=baseline, T_body_camera=mounting)
         return Calibration(camera, size, None, None, None)
     _require_known(path, data["right"], _RIGHT, "right.")
     T_left_right = _rigid(path, data, "right.T_left_right")
     right = _lens(path, data, "right.")
     pair = rectify(lens, right, inverse(T_left_right), size, source=f"{path}: right.T_left_right")
+    _plausible_baseline(path, pair.baseline_m)
     turned = mounting @ pose(pair.R_left_new, np.zeros(3))
     camera = StereoCamera(**_intrinsics(pair.K), baseline_m=pair.baseline_m, T_body_camera=turned)
     return Calibration(camera, size, pair.left, pair.right, None)
+
+
+def _plausible_baseline(path: Path, baseline_m: float) -> float:
+    if not _BASELINE_M[0] <= baseline_m <= _BASELINE_M[1]:
+        raise DataError(
+            f"{path}: the cameras of the pair are {baseline_m:g} m apart; are these millimetres? Metres are "
+            "needed"
+        )
+    return baseline_m
 
 
 def _depth(path: Path, data: dict[str, Any]) -> DepthFormat:
@@ -125,6 +139,11 @@ def _lens(path: Path, data: dict[str, Any], prefix: str = "") -> Lens:
 
 def _rigid(path: Path, data: dict[str, Any], key: str) -> FloatArray:
     T = np.array(numbers_of(path, data, key, 16)).reshape(4, 4)
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise DataError(
+            f"{path}: the last row of {key} is {T[3].tolist()} where 0, 0, 0, 1 is needed; is the matrix "
+            "transposed?"
+        )
     return pose(nearest_rotations(path, T[:3, :3]), T[:3, 3])
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Gt
 
+from slamcmp import jpeg
 from slamcmp.datasets.calibration_file import read_calibration
 from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, require_size
 from slamcmp.datasets.folders import find_folder, numbers, require_file, text_rows
@@ -89,6 +92,7 @@ def image_folder(
                 parameters=("pose_time_unit", "max_gap_s"),
                 told=told,
             )
+    told += _turned_for_the_eye(left)
     return Recording(
         root.resolve().name,
         t,
@@ -111,19 +115,44 @@ def image_folder(
 def _images(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise MissingDataError(f"{folder}: there is no such folder of images")
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    # Names that begin with a dot are the file system's own; macOS leaves a ._x.png beside each x.png.
+    found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
     if not found:
         raise MissingDataError(f"{folder}: holds no images ({', '.join(sorted(SUFFIXES))})")
+    found.sort(key=_natural)
+    for one, two in pairwise(found):
+        if one.stem == two.stem:
+            raise DataError(
+                f"{folder}: {one.name} and {two.name} are two formats of one image; which one counts is not "
+                "told: keep one format"
+            )
     return found
+
+
+def _natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
+    """Numbers in a name count as numbers: img2 before img10."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", path.stem)
+    return [(not p.isdigit(), int(p) if p.isdigit() else 0, p) for p in parts], path.name
+
+
+def _turned_for_the_eye(images: list[Path]) -> list[str]:
+    first = next((path for path in images if path.is_file()), None)
+    if first is None or jpeg.orientation(first.read_bytes()) == 1:
+        return []
+    return [
+        f"{first.parent}: EXIF says that {first.name} is to be turned for the eye; pixels are taken as they "
+        "are stored, and the calibration must be one of pixels as stored"
+    ]
 
 
 def _stamped(path: Path, images: list[Path], folder: Path) -> tuple[FloatArray, list[Path]]:
     """The stamps, and the images: those the file names, else the folder's in the order of their names."""
     rows = text_rows(path, 1)
     t = np.array([numbers(where, fields[:1])[0] for where, fields in rows])
-    named = [fields[1:2] for _, fields in rows]
+    # A name may hold blanks.
+    named = [" ".join(fields[1:]) for _, fields in rows]
     if rows and all(named):
-        return t, [folder / name[0] for name in named]
+        return t, [folder / name for name in named]
     if any(named) or len(rows) != len(images):
         raise DataError(
             f"{path}: {len(rows)} time stamps for {len(images)} images in {folder}; give one for each image, "

@@ -29,6 +29,8 @@ AnyCamera = MonoCamera | StereoCamera | RgbdCamera
 
 _GAP = 2.5
 """Times the median step: at one lost frame it is 2, which every recording has."""
+_USUAL_STEP_S = (1e-4, 60.0)
+"""Between images of a camera that moves: a high-speed camera's, and one photograph a minute."""
 _OWN_WORLD = 1e-6
 """Deviation of a first pose that defines the world, per axis [rad, m]; smoothers need more than zero."""
 _NAMED = 3
@@ -188,6 +190,11 @@ def _selected(recording: Recording, settings: RecordingSettings) -> Recording:
 def _gaps(t: FloatArray, names: Sequence[str]) -> list[str]:
     steps = np.diff(t)
     usual = float(np.median(steps))
+    if not _USUAL_STEP_S[0] <= usual <= _USUAL_STEP_S[1]:
+        return [
+            f"the usual step from image to image is {usual:.3g} s, and the recording lasts "
+            f"{t[-1] - t[0]:.3g} s: are the stamps in seconds? time_unit_s is 1e-9 for nanoseconds"
+        ]
     wide = np.flatnonzero(steps > _GAP * usual).tolist()
     # The longest first: it is the one to look at.
     named = [

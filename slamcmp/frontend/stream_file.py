@@ -33,6 +33,7 @@ def save_stream(stream: MeasurementStream, path: Path | str) -> None:
         "parameters": dict(sensor.parameters()),
         "stages": None if stream.report is None else list(stream.report.stages),
         "events": {} if stream.report is None else dict(stream.report.events),
+        "warnings": [] if stream.report is None else list(stream.report.warnings),
     }
     arrays: dict[str, Any] = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
@@ -130,7 +131,11 @@ def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
         kept = np.split(data["kept"], np.cumsum(data["kept_size"])[:-1])
         # Streams stored before there were events have none.
         report = FrontEndReport(
-            tuple(header["stages"]), data["counts"], tuple(kept), header.get("events", {})
+            tuple(header["stages"]),
+            data["counts"],
+            tuple(kept),
+            header.get("events", {}),
+            warnings=tuple(header.get("warnings", ())),
         )
     sensor = make_sensor(header["sensor"], header["parameters"])
     return MeasurementStream(Problem(data["prior_T"], data["prior_P"], sensor), frames, report)

@@ -106,6 +106,7 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
     tracker = FeatureTracker(log.problem.sensor, settings, random_streams(seed).front_end)
     frames, counts, kept, records = [], [], [], []
     events: Counter[str] = Counter()
+    skipped: Counter[str] = Counter()
     times: dict[str, list[float]] = {}
     with one_thread():
         for k, t in enumerate(log.t.tolist()):
@@ -118,6 +119,8 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
             kept.append(sighting.kept)
             if sighting.event:
                 events[sighting.event] += 1
+                if sighting.matches is None:
+                    skipped[sighting.event] += 1
             if sighting.matches is not None:
                 records.append(sighting.matches)
             for name, value in sighting.times_ms.items():
@@ -128,6 +131,19 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
         tuple(kept),
         dict(sorted(events.items())),
         {name: np.array(values) for name, values in times.items()},
+        (*_skipped(skipped, log), *tracker.warnings()),
     )
     problem = Problem(log.problem.T_world_body, log.problem.P, tracker.sensor)
     return MeasurementStream(problem, tuple(frames), report), records
+
+
+def _skipped(reasons: Counter[str], log: Log) -> list[str]:
+    """What did not come through, said where results are read."""
+    total = log.t.size
+    told = [
+        f"{log.name}: {count} of {total} frames were skipped, odometry only: {reason}"
+        for reason, count in reasons.most_common()
+    ]
+    if sum(reasons.values()) == total:
+        told.append(f"{log.name}: not one image could be used; every back end has nothing but odometry")
+    return told

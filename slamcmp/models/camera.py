@@ -62,6 +62,11 @@ class Camera(ABC):
         rotation = mounting[:3, :3] if mounting.shape == (4, 4) else np.zeros((3, 3))
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
             raise DataError(f"{self.name}: T_body_camera is not a rigid transform (4, 4)")
+        if not np.array_equal(mounting[3], [0.0, 0.0, 0.0, 1.0]):
+            raise DataError(
+                f"{self.name}: the last row of T_body_camera is {mounting[3].tolist()} where 0, 0, 0, 1 is "
+                "needed; is the matrix transposed?"
+            )
         if not (fx_px > 0 and fy_px > 0 and np.isfinite([cx_px, cy_px]).all()):
             raise DataError(
                 f"{self.name}: focal lengths {fx_px}, {fy_px} and principal point {cx_px}, {cy_px}; "

@@ -76,6 +76,8 @@ class FrontEndReport:
     """Frames with something out of the ordinary, by what it was: why an image was skipped, for instance."""
     times_ms: Mapping[str, FloatArray] = field(default_factory=dict)
     """Wall time of each stage, one entry a frame that was used; empty for a stored stream."""
+    warnings: tuple[str, ...] = ()
+    """What a user must know about the sensor's data, each with its likely cause."""
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -310,6 +310,71 @@ def test_what_is_missing_and_what_would_be_right(tmp_path: Path) -> None:
         log_of(folder)
 
 
+def test_names_come_in_natural_order_and_hidden_files_do_not_count(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, count=0)
+    for k in range(12):
+        assert cv2.imwrite(str(folder / "left" / f"img{k}.png"), picture(k))
+    # What macOS leaves beside a file on a foreign disk.
+    (folder / "left" / "._img0.png").write_bytes(b"\0\5\x16\7")
+    log = log_of(folder)
+    for k, frame in enumerate(log.images):
+        np.testing.assert_array_equal(frame.image, picture(k))
+    assert len(log.images) == 12
+
+
+def test_two_formats_of_one_image_are_refused(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path)
+    assert cv2.imwrite(str(folder / "left" / "003.jpg"), picture(3))
+    with pytest.raises(DataError, match=r"003\.jpg and 003\.png are two formats of one image"):
+        log_of(folder)
+
+
+def test_names_with_blanks_stand_in_a_list_of_stamps(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, count=0)
+    names = [f"my image {k}.png" for k in range(3)]
+    for k, name in enumerate(names):
+        assert cv2.imwrite(str(folder / "left" / name), picture(k))
+    (folder / "times.txt").write_text("".join(f"{0.1 * k} {name}\n" for k, name in enumerate(names)))
+    log = log_of(folder, times="times.txt", rate_hz=None)
+    np.testing.assert_array_equal(log.images[2].image, picture(2))
+
+
+def test_stamps_in_another_unit_are_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path)
+    (folder / "times.txt").write_text(
+        "".join(f"{1_400_000_000_000_000_000 + k * 100_000_000}\n" for k in range(6))
+    )
+    (told,) = log_of(folder, times="times.txt", rate_hz=None).warnings
+    assert "the usual step from image to image is 1e+08 s" in told
+    assert "time_unit_s is 1e-9 for nanoseconds" in told
+    assert log_of(folder, times="times.txt", rate_hz=None, time_unit_s=1e-9).warnings == ()
+
+
+def test_a_transposed_mounting_and_a_baseline_in_millimetres_are_refused(tmp_path: Path) -> None:
+    mounting = FORWARD_CAMERA.copy()
+    mounting[:3, 3] = 0.1, 0.0, 0.4
+    folder = write_folder(tmp_path, T_body_camera=mounting.T.tolist())
+    with pytest.raises(DataError, match=r"last row of T_body_camera is .* is the matrix transposed\?"):
+        log_of(folder)
+    with pytest.raises(DataError, match="is the matrix transposed"):
+        StereoCamera(fx_px=70, fy_px=70, cx_px=40, cy_px=30, baseline_m=0.1, T_body_camera=mounting.T)
+    write_calibration(folder, {**MONO, "camera": "stereo", "baseline_m": 120})
+    with pytest.raises(DataError, match="120 m apart; are these millimetres"):
+        log_of(folder)
+
+
+def test_a_picture_that_exif_turns_is_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, count=0)
+    tiff = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    body = b"Exif\0\0" + tiff
+    for k in range(2):
+        data = cv2.imencode(".jpg", picture(k))[1].tobytes()
+        turned = data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2) + body + data[2:]
+        (folder / "left" / f"{k}.jpg").write_bytes(turned)
+    (told,) = log_of(folder).warnings
+    assert "EXIF says that 0.jpg is to be turned for the eye; pixels are taken as they are stored" in told
+
+
 def test_a_folder_is_also_looked_for_among_the_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_folder(tmp_path / "data" / "own")
     monkeypatch.chdir(tmp_path)

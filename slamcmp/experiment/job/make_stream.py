@@ -96,7 +96,7 @@ def store_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
         len(stream.frames),
         truth,
         totals,
-        warnings=(*log.warnings, *_gaps(log)),
+        warnings=(*log.warnings, *(stream.report.warnings if stream.report else ()), *_gaps(log)),
         own_ids=log.own_ids,
     )
     save_truth(known, task.result)

@@ -35,6 +35,9 @@ class Description:
     """(m, 32), 256 bits each."""
 
 
+_NOTHING = Description(np.empty(0, np.int64), np.empty(0), np.empty((0, 32), np.uint8))
+
+
 def describe(image: NDArray[np.uint8], xy: FloatArray) -> Description:
     """Oriented binary descriptors at pixels (n, 2); the patch is taken about the nearest whole pixel."""
     height, width = image.shape
@@ -45,6 +48,8 @@ def describe(image: NDArray[np.uint8], xy: FloatArray) -> Description:
         & (nearest[:, 1] < height - BORDER_PX)
     )
     chosen = np.flatnonzero(inside)
+    if not chosen.size:
+        return _NOTHING
     angle = intensity_centroid_angles(image, xy[chosen])
     size = float(2 * RADIUS_PX + 1)
     # The last argument names each corner, for OpenCV may drop some.
@@ -54,7 +59,7 @@ def describe(image: NDArray[np.uint8], xy: FloatArray) -> Description:
     ]
     keypoints, descriptors = _orb().compute(image, keypoints)
     if descriptors is None:
-        return Description(np.empty(0, np.int64), np.empty(0), np.empty((0, 32), np.uint8))
+        return _NOTHING
     survivors = np.array([keypoint.class_id for keypoint in keypoints], dtype=np.int64)
     return Description(chosen[survivors], angle[survivors], np.asarray(descriptors))
 

@@ -29,6 +29,8 @@ _SLOPE_SIGMA = 0.15
 """Expected slope of the disparity over the patch: a floor seen from half a metre has 0.2."""
 _SIGMA_GREY = 8.0
 """Weight of the grey values against that expectation."""
+_SAME_EXPOSURE = 1.05
+"""Ratio of contrasts that alignment does not feel."""
 _ALIKE = 0.6
 """Smallest correlation of two patches of one point."""
 
@@ -90,6 +92,9 @@ def align_rows(
         column, row, whole = column[chosen], row[chosen], whole[chosen]
         patch = _patches(left_image, row, column, _HALF_PX)
         strip = _patches(right_image, row, column - whole, reach)
+        gain = _gain(patch, strip)
+        if not 1.0 / _SAME_EXPOSURE <= gain <= _SAME_EXPOSURE:
+            strip /= np.float32(gain)
         rest, settled = _align(patch, strip, guess_px[chosen] - whole)
         answer[chosen[settled]] = (whole + rest)[settled]
     return answer
@@ -124,6 +129,15 @@ def _align(
     alike = (seen * wanted).sum(axis=1) > _ALIKE * norms
     moved = np.abs(parameters[:, 0] - offset)
     return parameters[:, 0], alike & (np.abs(step[:, 0]) < 0.05) & (moved < _SLACK_PX - 0.5)
+
+
+def _gain(patch: NDArray[np.float32], strip: NDArray[np.float32]) -> float:
+    """Contrast of the right image over the left one's: two cameras need not be exposed alike."""
+    middle = slice(strip.shape[2] // 2 - _HALF_PX, strip.shape[2] // 2 + _HALF_PX + 1)
+    left, right = (each.reshape(len(each), -1).std(axis=1) for each in (patch, strip[:, :, middle]))
+    textured = left > 0
+    gain = float(np.median(right[textured] / left[textured])) if textured.any() else 1.0
+    return gain if gain > 0 else 1.0
 
 
 def _sampled(

@@ -20,13 +20,15 @@ from slamcmp.frontend.vision.error_correlation import SETTLED, ErrorCorrelation
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.matching import match_descriptors
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
+from slamcmp.frontend.vision.pair_check import PairCheck
 from slamcmp.frontend.vision.placing import place_rays
 from slamcmp.frontend.vision.search_windows import Windows, search_windows
 from slamcmp.frontend.vision.suppression import suppress_cells
 from slamcmp.frontend.vision.track_table import TrackTable
 from slamcmp.frontend.vision.triangulation import PoseHistory
 from slamcmp.frontend.vision.wrong_matches import MatchRecord, spoil_matches
-from slamcmp.image_files import image_problem
+from slamcmp.geometry import local
+from slamcmp.image_files import GrayImage, image_problem
 from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.models.motion import compose_increments
 from slamcmp.types import BoolArray, CameraFrame, Detections, FloatArray, IntArray
@@ -49,6 +51,8 @@ _LONG_AGO = 10
 _SURE_BITS = 32
 """Largest descriptor distance, of 256, of such a match. From one image to the next nine in ten of the right
 ones are below 45; of those found again after a lap by less alike descriptors, one in four was wrong."""
+_STANDING = 1e-4
+"""Probability that odometry's noise alone moves so far."""
 _MATCHES_MIN = 12
 """Fewer do not hold a pose well: the common motion is not asked, and new points count without waiting."""
 
@@ -125,6 +129,8 @@ class FeatureTracker:
         self._history = PoseHistory(_HISTORY)
         self._correlation = ErrorCorrelation()
         self._since_image = np.eye(4), np.zeros((6, 6))
+        self._last_image: GrayImage | None = None
+        self._pair = PairCheck(camera) if isinstance(camera, StereoCamera) else None
         self._gap = 0
         """Frames since the last image that could be used."""
         self._size: tuple[int, int] | None = None
@@ -134,6 +140,10 @@ class FeatureTracker:
         self._gate = float(chdtri(self.sensor.dim, 1.0 - share))
         self._pixel_gate = float(chdtri(2, 1.0 - share))
 
+    def warnings(self) -> list[str]:
+        """What the images so far say against the calibration or the odometry, with the likely cause."""
+        return [] if self._pair is None else self._pair.findings()
+
     def step(self, frame: CameraFrame, T_prev_body: FloatArray, Q: FloatArray) -> Sighting:
         """Take in the next frame and the odometry that led to it; a bad image leaves only the odometry."""
         tracks = self._tracks
@@ -141,16 +151,19 @@ class FeatureTracker:
         self._gap += 1
         tracks.move(T_prev_body, Q)
         self._since_image = compose_increments(self._since_image, (T_prev_body, Q))
-        problem = self._problem(frame)
+        problem = self._problem(frame) or self._frozen(frame)
         if problem:
             tracks.keep(tracks.age <= self._settings.memory)
             return self._nothing(problem)
         assert frame.image is not None
+        self._last_image = frame.image
         clock = _Clock()
         self._size = frame.image.shape[1], frame.image.shape[0]
         features = extract_features(frame.image, count=self._settings.features)
         clock.lap("features")
         measured = self._measure(frame, features)
+        if self._pair is not None and frame.right is not None:
+            self._pair.look(features, frame, self._settings.features)
         clock.lap("depth")
         windows = self._look_ahead()
         clock.lap("prediction")
@@ -223,6 +236,16 @@ class FeatureTracker:
             if frame.depth_m.shape != frame.image.shape:
                 return "depth image of another size"
         return ""
+
+    def _frozen(self, frame: CameraFrame) -> str:
+        """Whether a camera delivers its last image again while the robot drives on."""
+        if self._last_image is None or not np.array_equal(frame.image, self._last_image):  # type: ignore[arg-type]
+            return ""
+        T, Q = self._since_image
+        moved = local(np.eye(4), T)
+        if moved @ np.linalg.pinv(Q) @ moved <= chdtri(6, _STANDING):
+            return ""
+        return "the same image as before, while the odometry moved: the camera is frozen"
 
     def _nothing(self, event: str) -> Sighting:
         nobody, d = np.zeros(0, dtype=bool), self.sensor.dim
