@@ -113,14 +113,16 @@ def landmark_nees(run: Run, truth: GroundTruth) -> float:
 def joint_nees_per_dof(run: Run, truth: GroundTruth) -> float:
     """NEES of the last pose and the whole map together over its dimension; expected 1.
 
-    The pose error is in the body tangent and stands first, the landmarks' are in world axes; landmarks the
-    truth does not know are marginalised out. Not available where the run ended early.
+    The pose is the one that the map stands with: a smoother's map is that of its final solution, so the pose
+    is the final trajectory's last; a filter's is its last estimate. The pose error is in the body tangent and
+    stands first, the landmarks' are in world axes; landmarks the truth does not know are marginalised out.
+    Not available where the run ended early.
     """
     if run.joint_covariance is None or run.landmarks is None or run.online.t.size != truth.t.size:
         return math.nan
     if not truth.known()[-1]:
         return math.nan
-    estimated, true = matched_poses(run.online, truth)
+    estimated, true = matched_poses(run.final or run.online, truth)
     xi = local(estimated[-1], true[-1])
     in_map, in_truth = matched_landmarks(run.landmarks, truth)
     n = run.landmarks.positions.shape[1]
@@ -145,6 +147,12 @@ def nis_per_dof(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: A
     used = np.isfinite(nis) & (dof > 0)
     total = float(dof[used].sum())
     return float(nis[used].sum()) / total if total > 0 else math.nan
+
+
+@metrics.register("final_converged", header="final converged", **_DIAGNOSTIC)
+def final_converged(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: ARG001
+    """Whether the solution after the last frame stood still (1) or was cut short (0)."""
+    return run.final_diagnostics.get("converged", math.nan)
 
 
 @metrics.register("chi2_per_dof", header="χ²/dof", **_DIAGNOSTIC)

@@ -48,6 +48,7 @@ def cautions(results: Results) -> list[Caution]:
         None if missing is None else Caution("Not complete", _sentence(missing)),
         _warnings(results),
         _failed(results),
+        _cut_short(results),
         _own_gates(results),
         _healthy_but_far(results),
         _borrowed_online_column(results),
@@ -116,6 +117,21 @@ def _failed(results: Results) -> Caution | None:
     return Caution(
         f"{len(failed)} of {len(results.trials)} runs are not ok",
         f"{'; '.join(parts)}. They are in no median; the remaining runs may be the easier ones.",
+    )
+
+
+def _cut_short(results: Results) -> Caution | None:
+    """Solutions after the last frame that had not come to rest."""
+    if not has_values(results.trials, ["final_converged"]):
+        return None
+    moving = results.trials[results.trials["final_converged"] == 0.0]
+    if moving.empty:
+        return None
+    counts = moving.groupby("label", sort=False).size()
+    parts = "; ".join(f"{label}: {count} of its runs" for label, count in counts.items())
+    return Caution(
+        "Final solutions that were still moving",
+        f"{parts}. Their iterations were cut short, so the final columns are not those of the optimum.",
     )
 
 

@@ -127,15 +127,17 @@ def test_joint_nees_puts_the_pose_first_and_marginalises_unknown_landmarks(truth
     assert consistency.joint_nees_per_dof(run, truth) == pytest.approx(4 / 15, abs=1e-12)
 
 
-def test_joint_nees_is_of_the_last_online_pose(truth_of, run_of):
-    """Not of the one with hindsight, nor of a frame before the last."""
+def test_joint_nees_is_of_the_pose_that_the_map_stands_with(truth_of, run_of):
+    """A filter's last pose, and the last of a smoother's final trajectory; not of a frame before the last."""
     truth = truth_of(se2([0.0, 1.3], 0, 0), [[1.0, 0.0]])
     final = Trajectory(truth.t, truth.T_world_body, np.broadcast_to(P_HAND, (2, 3, 3)))
     joint = np.diag([0.01, 0.01, 0.01, 0.01, 0.01])
     fields = {"positions": [[1.0, 0.0]], "joint_covariance": joint, "final": final}
     run = run_of(se2([0.9, 1.0], 0, 0), np.broadcast_to(P_HAND, (2, 3, 3)), **fields)
-    # 0.3 m with sigma 0.1 m: 9, over 3 + 2.
-    assert consistency.joint_nees_per_dof(run, truth) == pytest.approx(9 / 5, abs=1e-12)
+    # The final trajectory is the truth; the online pose is 0.3 m off with sigma 0.1 m: 9, over 3 + 2.
+    assert consistency.joint_nees_per_dof(run, truth) == pytest.approx(0.0, abs=1e-12)
+    filtered = run_of(se2([0.9, 1.0], 0, 0), np.broadcast_to(P_HAND, (2, 3, 3)), **(fields | {"final": None}))
+    assert consistency.joint_nees_per_dof(filtered, truth) == pytest.approx(9 / 5, abs=1e-12)
     # Of a run that ended early the joint belief is of another frame than the log's last.
     early = run_of(se2([0.9], 0, 0), P_HAND[None], **(fields | {"final": None}), frames=2)
     assert math.isnan(consistency.joint_nees_per_dof(early, truth))

@@ -20,6 +20,7 @@ import gtsam
 import numpy as np
 from annotated_types import Ge, Gt
 
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
 from slamcmp.backends.gtsam_smoothers.factors import pose_key
 from slamcmp.backends.gtsam_smoothers.graph import (
     GraphBuilder,
@@ -53,17 +54,19 @@ class Batch:
             where it was first seen (which often ends in a wrong basin).
         every: solve causally at frames 0, every, 2 every, …, with odometry carrying the pose in between;
             0: only in the end.
-        max_iterations: of one solve; reaching it counts as diverged.
+        max_iterations: of one solve. A solution that was still moving then stands if it is better than where
+            it started, and says so (``converged`` 0).
         relative_error_tol: a solve stops when an iteration lowers the cost by less than this share.
         max_chi2_per_dof: a final solution above it counts as diverged: a wrong basin, or noise that the
-            covariances do not describe. 3 lies far outside chance for any dof over 20.
+            covariances do not describe (fit.py: with few degrees of freedom chance is granted more).
         final_covariances: give ``trajectory()`` a covariance for every pose (0.2 s for 7000 poses).
         robust: kernel on the observations' whitened residuals.
         robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 
     Raises:
         UsageError: prior or odometry covariance is singular.
-        DivergedError: GTSAM failed, did not converge, or ended in a solution that cannot be right.
+        DivergedError: GTSAM failed, left its start for a worse solution, or ended in one that cannot be
+            right.
     """
 
     relative_poses: Literal["used"] = "used"
@@ -77,7 +80,7 @@ class Batch:
         every: Annotated[int, Ge(0)] = 0,
         max_iterations: Annotated[int, Ge(1)] = 100,
         relative_error_tol: Annotated[float, Ge(0)] = 1e-10,
-        max_chi2_per_dof: Annotated[float, Gt(0)] = 3.0,
+        max_chi2_per_dof: Annotated[float, Gt(0)] = MAX_CHI2_PER_DOF,
         final_covariances: bool = True,
         robust: RobustKernel = "none",
         robust_width: Annotated[float, Gt(0)] | None = None,
@@ -145,7 +148,7 @@ class Batch:
         """Every pose at the optimum.
 
         Raises:
-            DivergedError: no convergence, a result that is not finite, chi-square per dof above
+            DivergedError: a solve that went up, a result that is not finite, chi-square per dof above
                 ``max_chi2_per_dof``, or more than 1 % of what a camera saw is behind it.
         """
         solution = self._checked_solution()
@@ -167,12 +170,17 @@ class Batch:
 
     def diagnostics(self) -> Mapping[str, float]:
         """``landmarks``, ``dropped`` measurements; once solved also ``chi2, dof, chi2_per_dof, iterations``
-        of the solution, and how many observations are of landmarks ``behind_camera``."""
+        of the solution, whether it ``converged`` (1, else 0), and how many observations are of landmarks
+        ``behind_camera``."""
         builder = self._builder
         count = {"landmarks": float(len(builder.known)), "dropped": float(builder.dropped)}
         if self._solution is None:
             return count
-        solved = {"iterations": float(self._solution.iterations), "behind_camera": float(self._behind)}
+        solved = {
+            "iterations": float(self._solution.iterations),
+            "converged": float(self._solution.converged),
+            "behind_camera": float(self._behind),
+        }
         return {**count, **builder.goodness(self._solution.chi2), **solved}
 
     def _pose_in(self, values: Any, k: int) -> Any:
@@ -183,16 +191,18 @@ class Batch:
             self._solve()
         solution = self._solution
         assert solution is not None
-        self._require_convergence(solution)
         poses = poses_in(solution.values, len(self._t), self._builder.space_dim)
         self._behind = self._builder.require_images(solution.values, poses, "batch")
-        ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
-        if ratio > self._max_chi2_per_dof:
-            raise DivergedError(
-                f"batch: χ²/dof is {ratio:.4g} after {solution.iterations} iterations, above "
-                f"max_chi2_per_dof {self._max_chi2_per_dof:g}: a wrong basin (start from warm_start "
-                "'isam2'), or noise that the covariances do not describe (outliers, wrong associations)"
-            )
+        what = f"batch, after {solution.iterations} iterations"
+        if not solution.converged:
+            what += " without convergence"
+        require_fit(
+            solution.chi2,
+            self._builder.goodness(solution.chi2)["dof"],
+            self._max_chi2_per_dof,
+            what,
+            "start from warm_start 'isam2'",
+        )
         return solution
 
     def _solve(self) -> _Solution:
@@ -200,24 +210,23 @@ class Batch:
         k = len(self._t) - 1
         self._builder.bring_back(initial, poses_in(initial, k + 1, self._builder.space_dim))
         try:
+            start_chi2 = 2.0 * self._graph.error(initial)
             optimizer = self._make_optimizer(initial)
-            values = optimizer.optimize()
-            solution = _Solution(self._graph, values, optimizer.iterations(), k)
+            values, iterations = optimizer.optimize(), optimizer.iterations()
+            solution = _Solution(
+                self._graph, values, iterations, k, converged=iterations < self._max_iterations
+            )
         except RuntimeError as error:
             raise diverged("batch", k, error) from error
         require_finite(poses_in(values, k + 1, self._builder.space_dim), "batch", k)
         require_finite(np.array(solution.chi2), "batch", k)
-        self._solution = solution
-        self._require_convergence(solution)
-        return solution
-
-    def _require_convergence(self, solution: _Solution) -> None:
-        if solution.iterations >= self._max_iterations:
-            ratio = self._builder.goodness(solution.chi2)["chi2_per_dof"]
+        if not solution.converged and solution.chi2 > start_chi2:
             raise DivergedError(
-                f"batch: no convergence in {solution.iterations} iterations, χ²/dof is {ratio:.4g} so far: "
-                "raise max_iterations, or leave what looks like a wrong basin (start from warm_start 'isam2')"
+                f"batch: no convergence in {iterations} iterations, and χ² rose from {start_chi2:.4g} to "
+                f"{solution.chi2:.4g}: take optimizer 'lm', which never goes up"
             )
+        self._solution = solution
+        return solution
 
     def _make_optimizer(self, initial: Any) -> Any:
         kinds = {
@@ -236,8 +245,9 @@ class Batch:
 class _Solution:
     """An optimum; its covariances are computed when first asked for."""
 
-    def __init__(self, graph: Any, values: Any, iterations: int, k: int) -> None:
+    def __init__(self, graph: Any, values: Any, iterations: int, k: int, *, converged: bool) -> None:
         self.values = values
+        self.converged = converged
         self.iterations = iterations
         self.chi2: float = 2.0 * graph.error(values)
         self._graph = graph

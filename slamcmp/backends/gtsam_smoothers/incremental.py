@@ -40,6 +40,12 @@ MANY = 1000
 """Marginal covariances from which on a tree of their own is worth its making."""
 
 
+FINAL_UPDATES = 50
+"""Most updates after the last frame."""
+STANDS_STILL = 1e-9
+"""Relative change of chi-square by an update that is taken for none."""
+
+
 class IncrementalSolver:
     """Holds the Bayes tree and the pose of the newest frame.
 
@@ -77,6 +83,31 @@ class IncrementalSolver:
             self.pose = self._pose_at(pose_key(self.k))
         except RuntimeError as error:
             raise diverged(self._name, self.k, error) from error
+
+    def converge(self) -> tuple[float, bool]:
+        """Update until chi-square stands still, looking each time for variables to linearise anew.
+
+        During the run that happens only every ``relinearize_skip`` frames, and what the last frames brought
+        may not have reached the older poses yet. What has moved by less than ``relinearize_threshold`` keeps
+        its point.
+
+        Returns:
+            chi-square of the whole cost, and whether it stands still.
+
+        Raises:
+            DivergedError: GTSAM could not solve the linear system; the solver cannot be used afterwards.
+        """
+        graph = self.graph()
+        chi2 = 2.0 * graph.error(self.values())
+        for _ in range(FINAL_UPDATES):
+            try:
+                result = self._isam.update(force_relinearize=True)
+            except RuntimeError as error:
+                raise diverged(self._name, self.k, error) from error
+            last, chi2 = chi2, 2.0 * graph.error(self.values())
+            if not result.getVariablesRelinearized() or abs(last - chi2) <= STANDS_STILL * (1.0 + chi2):
+                return chi2, True
+        return chi2, False
 
     def pose_matrix(self) -> FloatArray:
         """``T_world_body`` of the newest frame."""

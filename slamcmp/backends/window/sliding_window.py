@@ -34,6 +34,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from slamcmp.backends.entries import entering, has_blind_side, placed, places_by_itself, with_image
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
 from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.backends.unanchored import Linearisation
 from slamcmp.backends.window.gauss_newton import GaussNewtonStep
@@ -66,6 +67,7 @@ class SlidingWindow:
         landmarks: "keep" all in the state, or "drop_unseen": marginalise those that no pose of the window
             has seen; seen again, they start anew (where one measurement does not place a landmark, as a
             single camera's does not, what is measured of it is dropped, and counted).
+        max_chi2_per_dof: as in ``batch``: a final solution above it counts as diverged.
 
     Raises:
         UsageError: the prior or an odometry covariance is singular.
@@ -83,13 +85,17 @@ class SlidingWindow:
         tolerance: Annotated[float, Gt(0)] = 1e-6,
         linearisation: Policy = "latest",
         landmarks: Literal["keep", "drop_unseen"] = "keep",
+        max_chi2_per_dof: Annotated[float, Gt(0)] = MAX_CHI2_PER_DOF,
     ) -> None:
         self._window = Window(problem, linearisation)
         self._length = window
         self._iterations, self._tolerance = iterations, tolerance
         self._frozen = linearisation == "frozen"
+        self._one_step = iterations == 1 or self._frozen
         self._drop_unseen = landmarks == "drop_unseen"
+        self._max_chi2_per_dof = max_chi2_per_dof
         self._solution: Solution
+        self._chi2: float | None = None
         self._dof, self._dropped = 0, 0
         self._t: list[float] = []
         self._left: list[tuple[FloatArray, FloatArray]] = []
@@ -137,6 +143,7 @@ class SlidingWindow:
     def solve(self) -> None:
         """Gauss-Newton from the predicted state until the step is small enough."""
         window = self._window
+        self._chi2 = None
         last_step: FloatArray | None = None
         share = 1.0
         for iteration in range(1, self._iterations + 1):
@@ -173,26 +180,36 @@ class SlidingWindow:
         """Each pose as it left the window, or as it stands in it: with a hindsight of at most w - 1 frames.
 
         With ``window: null`` every pose with full hindsight; with window 1 the filter's own estimates.
+
+        Raises:
+            DivergedError: chi-square per dof is above ``max_chi2_per_dof``.
         """
+        what = "sliding_window" if self._converged() else "sliding_window, without convergence"
+        require_fit(
+            self._chi_square(), self._dof, self._max_chi2_per_dof, what, "a longer window, more iterations"
+        )
         poses = [T for T, _ in self._left] + list(self._window.T)
         covariances = [P for _, P in self._left] + list(self._solution.pose_covariances())
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
 
     def diagnostics(self) -> Mapping[str, float]:
         """Landmarks, iterations used, largest component of the last step, chi-square with its dof, and how
-        many of the frame's measurements were dropped (entries.py).
+        many of the frame's measurements were dropped (entries.py); of a window that iterates also whether the
+        last step was below the tolerance (``converged``: 1, else 0).
 
-        Chi-square is that of all measurements so far: the window's plus what marginalisation left over. For
-        window 1 with one iteration it is the sum of the NIS.
+        Chi-square is that of all measurements so far: of the window's residuals at the estimate, plus what
+        marginalisation left over. Where each frame is one linear step, with a single iteration or frozen
+        Jacobians, it is that of the linear residuals: for window 1 the sum of the NIS.
         """
-        return {
+        told = {
             "landmarks": len(self._window.number),
             "iterations": self._solution.iterations,
             "last_step": self._solution.last_step,
-            "chi2": self._solution.step.chi2,
+            "chi2": self._chi_square(),
             "dof": self._dof,
             "dropped": self._dropped,
         }
+        return told if self._one_step else {**told, "converged": float(self._converged())}
 
     def record_linearisation(self) -> None:
         """Keep what :meth:`linearisation` needs, from the first frame on."""
@@ -222,9 +239,17 @@ class SlidingWindow:
         exists = with_image(window.sights.sensor.predict(window.T[-1], seen), frame.k)
         return exists.size - int(exists.sum())
 
+    def _converged(self) -> bool:
+        return self._one_step or self._solution.last_step < self._tolerance
+
+    def _chi_square(self) -> float:
+        if self._chi2 is None:
+            self._chi2 = self._solution.step.chi2 if self._one_step else self._window.chi_square()
+        return self._chi2
+
     def _share_of(self, step: GaussNewtonStep, share: float) -> float:
         """``share``, or less where it would raise the cost; a single iteration is never questioned."""
-        if self._iterations == 1 or self._frozen:
+        if self._one_step:
             return 1.0
         bound = self._window.cost.value * (1.0 + 1e-9) + 1e-9
         for _ in range(HALVINGS):

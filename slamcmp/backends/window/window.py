@@ -189,6 +189,10 @@ class Window:
             self.n,
         )
 
+    def chi_square(self) -> float:
+        """The true cost of the current estimate."""
+        return self.cost_after(np.zeros((len(self.T), self.p)), np.zeros_like(self.landmarks))
+
     def cost_after(self, pose_step: FloatArray, landmark_step: FloatArray) -> float:
         """The true cost where steps (K, p) and (L, n) would lead."""
         T, _ = retract_in_world_axes(self.T, pose_step)

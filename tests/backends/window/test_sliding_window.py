@@ -377,3 +377,27 @@ def test_a_frame_is_the_three_steps_and_nothing_else(monkeypatch: pytest.MonkeyP
         window.update(frame)
         assert done[-3:] == ["construct", "marginalise", "solve"]
     assert len(done) == 12
+
+
+@pytest.mark.parametrize("iterations", [2, 30])
+def test_chi_square_is_that_of_the_residuals_at_the_estimate(iterations: int) -> None:
+    """Against the sum written out, also where iterations were cut short: then the linear cost is another."""
+    stream, _, _ = toy_stream(frames=12, noise=8.0, prior_sigma=0.1)
+    problem, window = stream.problem, run(stream, window=None, iterations=iterations)
+    poses, landmarks = window.trajectory().T_world_body, window.landmarks()
+    place = dict(zip(landmarks.ids.tolist(), landmarks.positions, strict=True))
+    first = geometry.local(problem.T_world_body, poses[0])
+    # The prior's error is additive: position in the prior's axes, and heading.
+    first[:2] = problem.T_world_body[:2, :2].T @ (poses[0] - problem.T_world_body)[:2, 2]
+    chi2 = first @ np.linalg.solve(problem.P, first)
+    for frame, T in zip(stream.frames, poses, strict=True):
+        if frame.k:
+            e = geometry.local(frame.T_prev_body, geometry.inverse(poses[frame.k - 1]) @ T)
+            chi2 += e @ np.linalg.solve(frame.Q, e)
+        for landmark, z, R in zip(frame.ids.tolist(), frame.z, frame.R, strict=True):
+            e = problem.sensor.residual(z, problem.sensor.predict(T, place[landmark]))
+            chi2 += e @ np.linalg.solve(R, e)
+    told = window.diagnostics()
+    assert told["chi2"] == pytest.approx(chi2, rel=1e-9)
+    linear_is_another = abs(window._solution.step.chi2 / chi2 - 1.0) > 1e-6
+    assert linear_is_another == (iterations == 2)
