@@ -11,7 +11,7 @@ from slamcmp import geometry as g
 from slamcmp.errors import DataError, MissingDataError, StorageError
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.models.sensors import RelativePosition
-from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem
+from slamcmp.types import Frame, FrontEndReport, MeasurementStream, Problem, RelativePoses
 from tests.test_types import camera_stream
 from tests.toy_stream import toy_stream
 
@@ -49,6 +49,31 @@ def test_entries_come_back(tmp_path):
     assert entries.ids.tolist() == [4]
     np.testing.assert_array_equal(entries.z, stream.frames[0].entries.z)
     np.testing.assert_array_equal(entries.R, stream.frames[0].entries.R)
+
+
+def test_loop_closures_come_back_with_their_frames(tmp_path):
+    """Two frames with closures, of two and of one earlier pose: each gets its own."""
+    generator = np.random.default_rng(3)
+
+    def related(*frames):
+        P = np.stack([np.eye(3) * (1 + k) for k in frames])
+        return RelativePoses(frames, g.exp(generator.uniform(-1, 1, (len(frames), 3))), P)
+
+    nothing = [], np.empty((0, 2)), np.empty((0, 2, 2))
+    closures = {2: related(0, 1), 4: related(3)}
+    frames = [Frame(0, 0.0, np.eye(3), np.zeros((3, 3)), *nothing)]
+    for k in range(1, 5):
+        Q = np.eye(3)
+        frames.append(Frame(k, float(k), np.eye(3), Q, *nothing, relative_poses=closures.get(k)))
+    stream = MeasurementStream(Problem(np.eye(3), np.eye(3), RelativePosition()), tuple(frames))
+    save_stream(stream, tmp_path / "stream.npz")
+    loaded = load_stream(tmp_path / "stream.npz")
+    assert loaded.digest == stream.digest
+    assert [k for k, frame in enumerate(loaded.frames) if frame.relative_poses is not None] == [2, 4]
+    for k, made in closures.items():
+        found = loaded.frames[k].relative_poses
+        for name in ("frames", "T_earlier_body", "P"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(made, name))
 
 
 def test_round_trip_is_exact(tmp_path, planar):

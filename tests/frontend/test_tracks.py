@@ -187,6 +187,10 @@ def test_a_depth_becomes_the_disparity_of_a_virtual_pair() -> None:
     np.testing.assert_array_equal(measured.valid, [True, False])
     point = camera.invert(np.eye(4), np.array([100.0, 80.0, 4.0]))
     np.testing.assert_allclose(measured.z[0], sensor.predict(np.eye(4), point), atol=1e-5)
+    # (u, u - d, v) of corner and disparity, whose errors know nothing of one another.
+    J = np.array([[1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+    disparity_sigma = sensor.fx_px * sensor.baseline_m * 0.002
+    np.testing.assert_allclose(measured.R[0], J @ np.diag([0.25, disparity_sigma**2, 0.25]) @ J.T, rtol=1e-12)
     # Back to depth: sigma is 0.002 · 4², and the corner's error is that of both columns.
     _, H = sensor.jacobians(np.eye(4), point)
     in_space = np.linalg.inv(H) @ measured.R[0] @ np.linalg.inv(H).T
