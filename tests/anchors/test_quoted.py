@@ -11,7 +11,7 @@ from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.grid import at_point
-from tests.anchors.reference import QUOTED, assert_reproduces, read, read_runs
+from tests.anchors.reference import FOLDER, QUOTED, assert_reproduces, read, read_runs
 
 
 @pytest.mark.parametrize("name", QUOTED)
@@ -34,3 +34,13 @@ def test_tables_of_runs_and_summaries_are_of_the_same_runs(name: str) -> None:
 def test_quoted_experiments_give_what_is_quoted(name: str, tmp_path: Path) -> None:
     results = run_experiment(load_experiment(find_experiment(name)), folder=tmp_path, executor="serial")
     assert_reproduces(results, read(name))
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("anchors_*.json")), ids=lambda path: path.stem)
+def test_a_recorded_order_is_held_only_where_each_pair_is(path: Path) -> None:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    for order in content["orders"]:
+        pairs = [pair["verdict"] for pair in order["pairs"]]
+        assert (order["verdict"] == "held") == all(each == "held" for each in pairs), order
+        assert set(pairs) <= {"held", "tie", "violated", "too few runs"}
+        assert f": {order['verdict']}" in content["sentence"]
