@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
+from slamcmp.backends.filters.charts import RightInvariantChart
 from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.kalman import KnownHeadingKalmanFilter
+from slamcmp.backends.filters.msckf import Msckf
 from slamcmp.backends.filters.robocentric import RobocentricEkf
 from slamcmp.backends.filters.ukf import UkfSlam
-from slamcmp.backends.filters.variants import FirstEstimatesEkf, RightInvariantEkf, WorldEkf
+from slamcmp.backends.filters.variants import FirstEstimatesEkf, WorldEkf
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import Frame, GroundTruth, MeasurementStream, Problem
 from tests.oracles.filters import CONSISTENT, PUBLISHED, BodyEkf, maker, run, world_of
@@ -129,9 +131,28 @@ def test_the_standard_ekf_loses_rotation_and_the_body_chart_everything(space_dim
 @pytest.mark.parametrize("filter_class", EVERY)
 def test_a_moved_world_moves_the_answer_with_it(filter_class: Any, space_dim: int) -> None:
     stream, truth = world_of(space_dim)
-    # The robocentric state holds the world's own origin as a feature: moved, it is another state.
-    turned_only = filter_class is RobocentricEkf
-    assert_moved_with_the_world(maker(filter_class), stream, truth, 1e-9, turned_only=turned_only)
+    assert_moved_with_the_world(maker(filter_class), stream, truth, 1e-9)
+
+
+@pytest.mark.parametrize("space_dim", [2, 3])
+@pytest.mark.parametrize("filter_class", [*EVERY, Msckf, UkfSlam])
+def test_a_world_far_from_its_origin_is_like_any_other(filter_class: Any, space_dim: int) -> None:
+    """A map grid's coordinates, millions of metres, of which float64 keeps nanometres."""
+    stream, truth = world_of(space_dim, frames=25)
+    far = np.array([450e3, 5.4e6, 0.0]) if space_dim == 2 else np.array([0.0, 0, 0, 450e3, 5.4e6, 300.0])
+    for turn in (0.0, 2.5):
+        T = geometry.exp(far)
+        T[:2, :2] = geometry.se2(0.0, 0.0, turn)[:2, :2]
+        assert_moved_with_the_world(maker(filter_class), stream, truth, 1e-6, T=T)
+
+
+def test_a_far_world_moves_no_sigma_point_of_any_chart() -> None:
+    stream, truth = world_of(2, frames=25)
+    T = geometry.se2(450e3, 5.4e6, 0.0)
+    for retraction in ("right_invariant", "left_invariant"):
+        for alpha in (1e-3, 1.0):
+            make = maker(UkfSlam, retraction=retraction, alpha=alpha)
+            assert_moved_with_the_world(make, stream, truth, 1e-4, T=T)
 
 
 def test_a_moved_world_moves_the_unscented_answer_with_it() -> None:
@@ -147,11 +168,12 @@ def assert_moved_with_the_world(
     truth: GroundTruth,
     tolerance: float,
     *,
-    turned_only: bool = False,
+    T: np.ndarray | None = None,
 ) -> None:
-    T = geometry.exp(np.array([7.0, -3.0, 2.0] if len(stream.problem.P) == 3 else [0.4, -1.0, 2.0, 5, -3, 1]))
-    if turned_only:
-        T[:-1, -1] = 0.0
+    """Everything but where the world lies stays; T moves it, None: somewhere near."""
+    if T is None:
+        near = [7.0, -3.0, 2.0] if len(stream.problem.P) == 3 else [0.4, -1.0, 2.0, 5, -3, 1]
+        T = geometry.exp(np.array(near))
     moved_truth = replace(
         truth, T_world_body=T @ truth.T_world_body, positions=geometry.transform(T, truth.positions)
     )
@@ -165,6 +187,8 @@ def assert_moved_with_the_world(
     np.testing.assert_allclose(
         there.landmarks().positions, geometry.transform(T, here.landmarks().positions), atol=tolerance
     )
+    turned = T[:-1, :-1] @ here.landmarks().covariances @ T[:-1, :-1].T
+    np.testing.assert_allclose(there.landmarks().covariances, turned, atol=tolerance)
 
 
 @pytest.mark.parametrize("filter_class", EVERY)
@@ -246,5 +270,6 @@ def test_right_invariant_and_world_covariance_differ_by_the_lever_of_the_positio
     problem = Problem(T, root @ root.T, stream.problem.sensor)
     D = np.array([[1.0, 0.0, 7.0], [0.0, 1.0, 4.0], [0.0, 0.0, 1.0]])
     in_world = WorldEkf(problem)._P.dense()
-    in_group = RightInvariantEkf(problem)._P.dense()
+    to_group = RightInvariantChart(2).from_body(T)
+    in_group = to_group @ problem.P @ to_group.T
     np.testing.assert_allclose(in_world, D @ in_group @ D.T, atol=1e-12)

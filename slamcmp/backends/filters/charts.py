@@ -34,11 +34,16 @@ class Chart:
 
     Args:
         space_dim: n, 2 or 3.
+        T_start: the first pose, (n+1, n+1). Charts with a lever arm from somewhere to the robot have it from
+            there, and not from the origin of somebody's coordinates, which may lie any distance away; None:
+            the origin.
     """
 
-    def __init__(self, space_dim: int) -> None:
+    def __init__(self, space_dim: int, T_start: FloatArray | None = None) -> None:
         self.n = space_dim
         self.p = TANGENT_DIM[space_dim]
+        self._T_start = np.eye(space_dim + 1) if T_start is None else np.array(T_start)
+        self._p_start: FloatArray = self._T_start[:-1, -1]
         self.turn = slice(2, 3) if space_dim == 2 else slice(0, 3)
         """Rotation entries of a pose's error."""
         self.shift = slice(0, 2) if space_dim == 2 else slice(3, 6)
@@ -158,19 +163,22 @@ class WorldChart(Chart):
 class RightInvariantChart(Chart):
     """One rigid motion for pose and map: exp(e) T, and l = R(e) l + V(e) r (SE_{1+L}(n) from the left).
 
+    All positions are those from the start, in the world's axes: a rotation about a far origin would move
+    everything by far more than anything is known to.
+
     Barrau and Bonnabel 2015, "An EKF-SLAM algorithm with consistency properties"; Zhang, Wu, Huang 2017.
     The gauge directions do not depend on the estimate, so no linearisation point can spoil them.
     """
 
     def to_body(self, T: FloatArray) -> FloatArray:
-        return adjoint_of_inverse(T)
+        return adjoint_of_inverse(self._from_start(T))
 
     def from_body(self, T: FloatArray) -> FloatArray:
-        return adjoint(T)
+        return adjoint(self._from_start(T))
 
     def offsets(self, T: FloatArray, landmarks: FloatArray) -> FloatArray:  # noqa: ARG002
         B = np.zeros((*landmarks.shape, self.p))
-        B[..., self.turn] = self._cross(landmarks)
+        B[..., self.turn] = self._cross(landmarks - self._p_start)
         return B
 
     def transition(self, T_from: FloatArray, T_to: FloatArray) -> None:  # noqa: ARG002
@@ -182,16 +190,23 @@ class RightInvariantChart(Chart):
         E = exp(error[..., : self.p])
         R = E[..., : self.n, : self.n]
         V = self._smear(error)
-        moved = landmarks @ np.swapaxes(R, -1, -2) + self._parts(error) @ np.swapaxes(V, -1, -2)
-        return E @ T, moved
+        T_moved = E @ self._from_start(T)
+        T_moved[..., : self.n, self.n] += self._p_start
+        turned = (landmarks - self._p_start) @ np.swapaxes(R, -1, -2)
+        return T_moved, turned + self._parts(error) @ np.swapaxes(V, -1, -2) + self._p_start
 
     def errors(
         self, T: FloatArray, landmarks: FloatArray, T_moved: FloatArray, moved: FloatArray
     ) -> FloatArray:
-        E = T_moved @ inverse(T)
+        E = self._from_start(T_moved) @ inverse(self._from_start(T))
         error = log(E)
-        smeared = moved - landmarks @ np.swapaxes(E[..., : self.n, : self.n], -1, -2)
-        return self._joined(error, self._unsmeared(error, smeared))
+        turned = (landmarks - self._p_start) @ np.swapaxes(E[..., : self.n, : self.n], -1, -2)
+        return self._joined(error, self._unsmeared(error, moved - self._p_start - turned))
+
+    def _from_start(self, T: FloatArray) -> FloatArray:
+        T_near = T.copy()
+        T_near[..., : self.n, self.n] -= self._p_start
+        return T_near
 
 
 class LeftInvariantChart(Chart):
@@ -214,23 +229,23 @@ class LeftInvariantChart(Chart):
 
 
 class RobocentricChart(WorldChart):
-    """Everything where the robot sees it: q + r with q = T^-1 l, and e the error of the world's own pose.
+    """Everything where the robot sees it: q + r with q = T^-1 l, and e the error of the start's own pose.
 
-    Castellanos et al. 2007, "Robocentric map joining": the state is T^-1, with e additive as in the world
-    chart, and every landmark in the body frame. The observation depends on r alone; a step turns and shakes
-    every landmark.
+    Castellanos et al. 2007, "Robocentric map joining": the state is X = T^-1 T_start, with e additive as in
+    the world chart, and every landmark in the body frame. The observation depends on r alone; a step turns
+    and shakes every landmark.
     """
 
     def to_body(self, T: FloatArray) -> FloatArray:
-        # T^-1 = exp(-xi) T_hat^-1 gives omega = -e_w and v = -e_p + e_w x p, p the origin as seen.
+        # X = exp(-xi) X_hat gives omega = -e_w and v = -e_p + e_w x p, p the start as seen.
         A = -np.eye(self.p)
-        A[self.shift, self.turn] = self._cross(self._seen(T, np.zeros(self.n)))
+        A[self.shift, self.turn] = self._cross(self._seen(T, self._p_start))
         return A
 
     def from_body(self, T: FloatArray) -> FloatArray:
         # A is its own inverse: [[-1, M], [0, -1]].
         A_inv = -np.eye(self.p)
-        A_inv[self.shift, self.turn] = -self._cross(self._seen(T, np.zeros(self.n)))
+        A_inv[self.shift, self.turn] = -self._cross(self._seen(T, self._p_start))
         return A_inv
 
     def offsets(self, T: FloatArray, landmarks: FloatArray) -> FloatArray:
@@ -238,7 +253,7 @@ class RobocentricChart(WorldChart):
         # dl = R (r + v + omega x q) with v and omega from e.
         B = np.empty((*q.shape, self.p))
         B[..., self.shift] = -R
-        B[..., self.turn] = R @ self._cross(self._seen(T, np.zeros(self.n)) - q)
+        B[..., self.turn] = R @ self._cross(self._seen(T, self._p_start) - q)
         return B
 
     def axes(self, T: FloatArray) -> FloatArray:
@@ -256,8 +271,8 @@ class RobocentricChart(WorldChart):
         self, T: FloatArray, landmarks: FloatArray, error: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         q = self._seen(T, landmarks)
-        T_body_world, q_moved = super().retract(inverse(T), q, error)
-        moved = inverse(T_body_world)
+        X, q_moved = super().retract(inverse(T) @ self._T_start, q, error)
+        moved = self._T_start @ inverse(X)
         R, p = moved[..., : self.n, : self.n], moved[..., : self.n, self.n]
         return moved, q_moved @ np.swapaxes(R, -1, -2) + p[..., None, :]
 
@@ -266,7 +281,8 @@ class RobocentricChart(WorldChart):
     ) -> FloatArray:
         R, p = T_moved[..., : self.n, : self.n], T_moved[..., : self.n, self.n]
         q_moved = (moved - p[..., None, :]) @ R
-        return super().errors(inverse(T), self._seen(T, landmarks), inverse(T_moved), q_moved)
+        X, X_moved = inverse(T) @ self._T_start, inverse(T_moved) @ self._T_start
+        return super().errors(X, self._seen(T, landmarks), X_moved, q_moved)
 
     def _seen(self, T: FloatArray, points: FloatArray) -> FloatArray:
         return (points - T[: self.n, self.n]) @ T[: self.n, : self.n]

@@ -25,6 +25,7 @@ G         (H_f^T H_f)^-1 H_f^T H_x: how the landmark follows the poses
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy, deepcopy
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -81,9 +82,10 @@ class Msckf:
 
     A track ends when a frame does not see its landmark, or when its first pose leaves the window; a landmark
     that is seen on starts a new track. The online estimate does not know the observations of tracks that
-    still run. A single camera's first track begins with the landmark's entry, later ones have pixels only and
-    are triangulated from where the last one left the landmark; a track that determines no point in front of
-    all its cameras is dropped, and counted.
+    still run; ``trajectory()`` ends them all, so that it has used every observation once. A single camera's
+    first track begins with the landmark's entry, later ones have pixels only and are triangulated from where
+    the last one left the landmark; a track that determines no point in front of all its cameras is dropped,
+    and counted.
 
     Args:
         problem: prior and sensor (planar or spatial).
@@ -110,6 +112,8 @@ class Msckf:
         self._used, self._dropped = 0, 0
         self._t: list[float] = []
         self._left: list[tuple[FloatArray, FloatArray]] = []
+        self._ended = self
+        """This filter, or after ``trajectory()`` a copy of it whose tracks have all ended."""
 
     def update(self, frame: Frame) -> None:
         """Append the pose, note the observations, use up finished tracks, drop the oldest pose."""
@@ -120,7 +124,7 @@ class Msckf:
     def construct(self, frame: Frame) -> list[Constraint]:
         """The frame's cost: a new pose, and what the tracks that end with the frame say about the window."""
         self._P.begin_frame(frame.k)
-        self._dropped = 0
+        self._ended, self._dropped = self, 0
         if frame.k > 0:
             self._append_pose(frame)
         self._t.append(frame.t)
@@ -132,8 +136,7 @@ class Msckf:
             for landmark, track in self._tracks.items()
             if track.frames[-1] < frame.k or (self._full and track.frames[0] == self._first)
         ]
-        made = [self._constraint(landmark, self._tracks.pop(landmark)) for landmark in finished]
-        return [constraint for constraint in made if constraint is not None]
+        return self._constraints({landmark: self._tracks.pop(landmark) for landmark in finished})
 
     def solve(self, constraints: list[Constraint]) -> None:
         """One Gauss-Newton step on it, in covariance form; places the tracks' landmarks."""
@@ -166,27 +169,37 @@ class Msckf:
         return Estimate(self._T[-1], sandwich(self._chart.to_body(self._T[-1]), self._P.pose_block()))
 
     def landmarks(self) -> Landmarks:
-        """The landmarks of finished tracks, each as its latest track left it."""
-        ids = np.fromiter(self._map, dtype=np.int64, count=len(self._map))
-        positions = np.array([position for position, _ in self._map.values()]).reshape(-1, self._n)
-        covariances = np.array([P for _, P in self._map.values()]).reshape(-1, self._n, self._n)
+        """The landmarks of tracks that have ended, each as its latest track left it."""
+        ended = self._ended._map
+        ids = np.fromiter(ended, dtype=np.int64, count=len(ended))
+        positions = np.array([position for position, _ in ended.values()]).reshape(-1, self._n)
+        covariances = np.array([P for _, P in ended.values()]).reshape(-1, self._n, self._n)
         return Landmarks(ids, positions, covariances)
 
     def trajectory(self) -> Trajectory:
-        """Each pose as it left the window, or as it stands in it."""
-        poses = [T for T, _ in self._left] + list(self._T)
-        covariances = [P for _, P in self._left] + self._covariances()
+        """Each pose as it left the window, or, in it, given every observation so far.
+
+        Tracks that still run are ended for this answer, and for those of ``landmarks`` and ``diagnostics``
+        after it; the filter itself goes on with them as if it had not been asked.
+        """
+        ended = self._ended = copy(self)
+        ended._P, ended._map = deepcopy(self._P), dict(self._map)
+        ended._P.begin_frame(self._P.frame)
+        ended.solve(ended._constraints(self._tracks))
+        poses = [T for T, _ in self._left] + list(ended._T)
+        covariances = [P for _, P in self._left] + ended._covariances()
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
 
     def diagnostics(self) -> Mapping[str, float]:
         """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map, and
         how many observations were dropped with their tracks."""
+        ended = self._ended
         return {
-            "nis": self._P.nis if self._P.nis_dof else float("nan"),
-            "nis_dof": self._P.nis_dof,
-            "tracks_used": self._used,
-            "landmarks": len(self._map),
-            "dropped": self._dropped,
+            "nis": ended._P.nis if ended._P.nis_dof else float("nan"),
+            "nis_dof": ended._P.nis_dof,
+            "tracks_used": ended._used,
+            "landmarks": len(ended._map),
+            "dropped": ended._dropped,
         }
 
     def _note(self, k: int, sights: Frame | Detections, *, entering: bool) -> None:
@@ -225,6 +238,11 @@ class Msckf:
         F = self._chart.transition(self._T[-1], T)
         self._P.move(F, Q=sandwich(self._chart.from_body(T), frame.Q))
         self._T = np.concatenate([self._T, T[None]])
+
+    def _constraints(self, tracks: Mapping[int, Track]) -> list[Constraint]:
+        """What these tracks say about the window, as far as they say anything."""
+        made = [self._constraint(landmark, track) for landmark, track in tracks.items()]
+        return [constraint for constraint in made if constraint is not None]
 
     def _constraint(self, landmark: int, track: Track) -> Constraint | None:
         """Triangulate the landmark, then take it out; None where nothing about the poses is left."""

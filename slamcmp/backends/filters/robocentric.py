@@ -1,14 +1,14 @@
 """Robocentric EKF-SLAM: the map is kept where the robot sees it, and moved only after it was observed.
 
-Castellanos, Martinez-Cantin, Tardós and Neira 2007, "Robocentric map joining": the state holds the world's
-own pose and all landmarks in the robot's frame. A frame's increment joins the state, the frame's observations
-correct it together with the map (the sensor standing at the increment, looking at landmarks in the previous
-body frame), and only then is everything composed with the corrected increment.
+Castellanos, Martinez-Cantin, Tardós and Neira 2007, "Robocentric map joining": the state holds the pose at
+which the robot set out, and all landmarks, in the robot's frame. A frame's increment joins the state, the
+frame's observations correct it together with the map (the sensor standing at the increment, looking at
+landmarks in the previous body frame), and only then is everything composed with the corrected increment.
 
 ========  ===========================================================================
 symbol    meaning
 ========  ===========================================================================
-e, r      error of T^-1 and of the landmarks q = T^-1 l, see RobocentricChart
+e, r      error of T^-1 T_start and of the landmarks q = T^-1 l, see RobocentricChart
 U, w, Q   the increment, its error U exp(w), and w's covariance
 P         covariance of (e, r), or of (e, r, w) while a frame is taken in
 M         (e, r, w) to (e, r) of the next frame
@@ -51,7 +51,7 @@ class RobocentricEkf(ErrorStateEkf):
     def __init__(
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
     ) -> None:
-        chart = self._robocentric = RobocentricChart(problem.sensor.space_dim)
+        chart = self._robocentric = RobocentricChart(problem.sensor.space_dim, problem.T_world_body)
         super().__init__(
             problem,
             chart,

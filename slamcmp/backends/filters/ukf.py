@@ -74,7 +74,7 @@ class UkfSlam(ErrorStateEkf):
         new_landmarks: NewLandmarks = "join_first",
         smooth: bool = False,
     ) -> None:
-        chart = CHARTS[retraction](problem.sensor.space_dim)
+        chart = CHARTS[retraction](problem.sensor.space_dim, problem.T_world_body)
         super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
         self._alpha, self._beta, self._kappa = alpha, beta, kappa
         self._sampled_motion = retraction == "additive"

@@ -84,7 +84,7 @@ class RightInvariantEkf(ErrorStateEkf):
     def __init__(
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
     ) -> None:
-        chart = RightInvariantChart(problem.sensor.space_dim)
+        chart = RightInvariantChart(problem.sensor.space_dim, problem.T_world_body)
         super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -103,17 +105,59 @@ def test_online_estimate_waits_for_tracks_to_end() -> None:
     """While every landmark is still in view the filter is dead reckoning; then all arrive at once."""
     stream, _ = passing_by(seed=3, sensor_name="range_bearing")
     msckf = Msckf(stream.problem, window=20)
+    online = []
     for frame in stream.frames[:5]:
         msckf.update(frame)
+        online.append(msckf.estimate().T_world_body)
     expected = geometry.dead_reckoning(
         np.eye(3), np.stack([frame.T_prev_body for frame in stream.frames[:5]])
     )
-    np.testing.assert_allclose(msckf.trajectory().T_world_body, expected, atol=1e-12)
+    np.testing.assert_allclose(online, expected, atol=1e-12)
     assert msckf.landmarks().ids.size == 0
     msckf.update(stream.frames[5])
     assert msckf.landmarks().ids.tolist() == [0]
     # Five planar sightings of one landmark: ten numbers, two of them spent on the landmark.
     assert msckf.diagnostics()["nis_dof"] == 8
+
+
+@pytest.mark.parametrize("seen", [5, 9, 13])
+def test_hindsight_is_the_batch_solution_while_tracks_still_run(seen: int) -> None:
+    """Linear, and the log ends with landmarks in view: every observation counts, and counts once."""
+    stream, _ = passing_by(seed=1, sensor_name="relative_position", heading=1e-6)
+    cut = MeasurementStream(stream.problem, stream.frames[:seen])
+    msckf, full = both(cut)
+    ours, theirs = msckf.trajectory(), full.trajectory()
+    np.testing.assert_allclose(ours.T_world_body, theirs.T_world_body, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(ours.P, theirs.P, rtol=1e-5, atol=1e-10)
+    # Its own answer online is another one: it has not used the tracks that run.
+    assert np.abs(ours.T_world_body[-1] - msckf.estimate().T_world_body).max() > 1e-3
+    a, b = msckf.landmarks(), full.landmarks()
+    # Tracks of two sightings and more, as the batch solution has them.
+    for landmark in range(max(0, seen - 5), seen - 1):
+        i, j = a.ids.tolist().index(landmark), b.ids.tolist().index(landmark)
+        np.testing.assert_allclose(a.positions[i], b.positions[j], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(a.covariances[i], b.covariances[j], rtol=1e-5)
+
+
+def test_asking_for_hindsight_ends_no_track_of_the_filter() -> None:
+    """Asked after every frame or never, it answers the same; and as if the next frame had seen nothing."""
+    stream, _ = passing_by(seed=2, sensor_name="range_bearing")
+    asked, never = Msckf(stream.problem, window=6), Msckf(stream.problem, window=6)
+    for frame in stream.frames:
+        asked.update(frame)
+        never.update(frame)
+        assert asked.diagnostics() == pytest.approx(never.diagnostics(), abs=0, nan_ok=True)
+        hindsight = asked.trajectory()
+        np.testing.assert_array_equal(asked.estimate().T_world_body, never.estimate().T_world_body)
+        np.testing.assert_array_equal(asked.estimate().P, never.estimate().P)
+        blind = copy.deepcopy(never)
+        standing = Frame(
+            frame.k + 1, frame.t + 1, np.eye(3), np.zeros((3, 3)), [], np.empty((0, 2)), np.empty((0, 2, 2))
+        )
+        blind.update(standing)
+        np.testing.assert_allclose(hindsight.T_world_body[-1], blind.estimate().T_world_body, atol=1e-12)
+        np.testing.assert_allclose(hindsight.P[-1], blind.estimate().P, atol=1e-13)
+        np.testing.assert_array_equal(asked.landmarks().ids, blind.landmarks().ids)
 
 
 def test_a_track_ends_when_its_first_pose_leaves() -> None:
