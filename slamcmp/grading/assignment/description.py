@@ -11,7 +11,7 @@ import functools
 import hashlib
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -110,6 +110,12 @@ class Mutant:
     source: str
     """The whole solution with the mistake."""
     message: str
+    changed: frozenset[str] = frozenset()
+    """Functions of the solution that it changes, and all that call them, directly or not."""
+
+    def touches(self, functions: Set[str]) -> bool:
+        """Whether it can show in answers of these functions (none named: of anything)."""
+        return not functions or bool(self.changed & functions)
 
 
 @dataclass(frozen=True)
@@ -286,9 +292,44 @@ def _checked_mutants(source: YamlSource, solution: str) -> tuple[Mutant, ...]:
         if count != 1:
             what = f"stands {count} times in solution.py; a mutant replaces what stands there once"
             errors.add(("mutants", index, "old"), what)
-        mutants.append(Mutant(mutant.name, solution.replace(mutant.old, mutant.new), mutant.message))
+        mistaken = solution.replace(mutant.old, mutant.new)
+        try:
+            changed = changed_functions(solution, mistaken)
+        except SyntaxError as error:
+            errors.add(
+                ("mutants", index, "new"), f"makes no Python of solution.py: {error.msg}, line {error.lineno}"
+            )
+            continue
+        mutants.append(Mutant(mutant.name, mistaken, mutant.message, changed))
     errors.raise_if_any()
     return tuple(mutants)
+
+
+def changed_functions(solution: str, mutant: str) -> frozenset[str]:
+    """Top-level functions and classes whose text differs, and all that mention them, directly or not."""
+    before, after = (
+        {name: ast.dump(node) for name, node in _definitions(each)} for each in (solution, mutant)
+    )
+    mentions: dict[str, set[str]] = {}
+    for name, node in (*_definitions(solution), *_definitions(mutant)):
+        mentions.setdefault(name, set()).update(
+            each.id for each in ast.walk(node) if isinstance(each, ast.Name)
+        )
+    changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    if not changed:
+        # Something outside of all functions: it may show anywhere.
+        return frozenset(before)
+    while more := {name for name, used in mentions.items() if used & changed} - changed:
+        changed |= more
+    return frozenset(changed)
+
+
+def _definitions(source: str) -> list[tuple[str, ast.stmt]]:
+    return [
+        (node.name, node)
+        for node in ast.parse(source).body
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+    ]
 
 
 def _digest(folder: Path) -> str:

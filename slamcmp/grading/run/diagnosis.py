@@ -1,13 +1,16 @@
-"""Name the likely cause of wrong answers: the known mistake that answers the same.
+"""Name the likely cause of wrong answers: the known mistake that answers the same, everywhere.
 
-A mutant of the reference, made for the assignment, explains an answer when it gives the same numbers and
-the reference does not. What no mutant explains is compared with what mistakes usually look like.
+Each function is looked at by itself. A mutant of the reference, made for the assignment, explains a
+function's answers only if it gives the same numbers in *every* output of *every* call that both were asked
+alike, and the reference does not: one output that it does not reproduce speaks against it, whatever the
+others say. Where several mistakes would explain the answers, or none, nothing is claimed. What no mutant
+explains is compared with what mistakes usually look like, which says what is seen and not why.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,19 +22,21 @@ from slamcmp.types import FloatArray
 
 SAME = 1e-6
 """Relative difference of answers that come from the same equations."""
+CAUSES = 2
+"""Most causes that are named of one test."""
 _TURN = 2 * np.pi
 _RUNAWAY = 1e6
 """Ratio to the right answer that no plain mistake reaches, but equations without a unique solution do."""
 
-Place = tuple[str, tuple[int | str, ...]]
-"""A function, and which of its outputs."""
-Outputs = dict[int, Any]
-"""One output of a function by the number of the call, from 0."""
+Path = tuple[int | str, ...]
+"""Which output of a function."""
+Calls = Mapping[int, Remembered]
+"""The calls of one function by their number, from 0."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Where an output differs most from the reference's."""
+    """Where a function's answers differ most from the reference's."""
 
     function: str
     call: int
@@ -45,81 +50,115 @@ def explain(
     reference: Sequence[Remembered],
     known: Iterable[tuple[str, Sequence[Remembered]]],
 ) -> list[str]:
-    """Likely causes as messages for the student, the most telling first, at most two.
+    """Likely causes as messages for the student, in the order of the functions asked, at most ``CAUSES``.
 
     Args:
         student: what the submission answered.
         reference: what the reference answered when asked the same.
         known: messages (templates over the fields of :class:`Difference`) with the answers of the mutant.
     """
-    right = _by_place(reference, reference)
-    own = _by_place(student, reference)
-    wrong = [
-        place
-        for place in own
-        if place in right and not _missing(own[place]) and not _same(own[place], right[place])
-    ]
+    own, right = _by_function(student), _by_function(reference)
+    wrong = {
+        function: calls
+        for function in own
+        if function in right
+        and not _still_to_be_written(own[function])
+        and (calls := _wrong_calls(own[function], right[function]))
+    }
     if not wrong:
         return []
-    candidates: list[tuple[str, list[Place]]] = []
+    explaining: dict[str, list[str]] = {function: [] for function in wrong}
     for message, answers in known:
-        theirs = _by_place(answers, reference)
-        explained = [
-            place
-            for place in wrong
-            if place in theirs
-            and _same(own[place], theirs[place])
-            and _tells_apart(theirs[place], own[place], right[place])
-        ]
-        if explained:
-            candidates.append((message, explained))
-        if len(explained) == len(wrong):
-            # The next mutant would be run only now, which takes far longer than all the rest.
-            break
-    found = [
-        message.format(**vars(_largest(place, own[place], right[place])))
-        for message, place in _fewest(candidates, wrong)
-    ]
-    if not found:
-        found = [text for place in wrong if (text := _signature(place, own[place], right[place]))]
-    return list(dict.fromkeys(found))[:2]
+        theirs = _by_function(answers)
+        for function, calls in wrong.items():
+            if _explains(theirs.get(function, {}), own[function], right[function], calls):
+                explaining[function].append(message)
+    found: list[str] = []
+    for function, calls in wrong.items():
+        messages = list(dict.fromkeys(explaining[function]))
+        if len(messages) == 1:
+            place = _largest(function, calls, own[function], right[function])
+            found.append(messages[0].format(**vars(place)))
+        elif not messages:
+            found += _signatures(function, calls, own[function], right[function])
+    return list(dict.fromkeys(found))[:CAUSES]
 
 
-def _fewest(candidates: list[tuple[str, list[Place]]], wrong: Sequence[Place]) -> Iterator[tuple[str, Place]]:
-    """Few mistakes that explain much: each time the one that explains most of what is left.
-
-    Yields:
-        its message and the first place that it explains.
-    """
-    left = set(wrong)
-    while candidates and left:
-        message, explained = max(candidates, key=lambda candidate: len(left.intersection(candidate[1])))
-        here = [place for place in explained if place in left]
-        if not here:
-            return
-        yield message, here[0]
-        left.difference_update(here)
+def functions_asked(answers: Sequence[Remembered]) -> frozenset[str]:
+    """Names of the functions called; empty where frames were handed to an object, which may call any."""
+    named = frozenset(each.name for each in answers)
+    # A frame is remembered without arguments.
+    return named if all(each.arguments for each in answers) else frozenset()
 
 
-def _by_place(answers: Sequence[Remembered], reference: Sequence[Remembered]) -> dict[Place, Outputs]:
-    """Outputs by function and number of the call.
+def contradicted(
+    theirs: Sequence[Remembered], student: Sequence[Remembered], reference: Sequence[Remembered]
+) -> bool:
+    """Whether a mistake would have made an answer wrong that the student has right."""
+    mistaken, own, right = _by_function(theirs), _by_function(student), _by_function(reference)
+    return any(
+        number in own.get(function, {})
+        and number in right.get(function, {})
+        and _asked_alike(call, right[function][number])
+        and _asked_alike(own[function][number], right[function][number])
+        and _answered_alike(own[function][number].answer, right[function][number].answer)
+        and not _answered_alike(call.answer, right[function][number].answer)
+        for function, calls in mistaken.items()
+        for number, call in calls.items()
+    )
 
-    Only of calls that asked what the reference was asked: where a wrong answer came back as an argument, the
-    next one has to differ.
-    """
-    asked: dict[str, list[Remembered]] = defaultdict(list)
-    for answer in reference:
-        asked[answer.name].append(answer)
-    calls: dict[str, int] = defaultdict(int)
-    places: dict[Place, Outputs] = defaultdict(dict)
+
+def _by_function(answers: Sequence[Remembered]) -> dict[str, dict[int, Remembered]]:
+    calls: dict[str, dict[int, Remembered]] = defaultdict(dict)
     for answer in answers:
-        number = calls[answer.name]
-        calls[answer.name] += 1
-        if number >= len(asked[answer.name]) or not _asked_alike(answer, asked[answer.name][number]):
-            continue
-        for path, leaf in leaves(answer.answer):
-            places[answer.name, path][number] = leaf
-    return places
+        calls[answer.name][len(calls[answer.name])] = answer
+    return calls
+
+
+def _wrong_calls(own: Calls, right: Calls) -> list[int]:
+    """The calls with a wrong answer, of those that asked what the reference was asked.
+
+    Where a wrong answer came back as an argument, the next answer has to differ.
+    """
+    return [
+        number
+        for number, answer in own.items()
+        if number in right
+        and _asked_alike(answer, right[number])
+        and not _answered_alike(answer.answer, right[number].answer)
+    ]
+
+
+def _explains(theirs: Calls, own: Calls, right: Calls, wrong: Sequence[int]) -> bool:
+    """Whether a mistake answers as the student does wherever both were asked the same.
+
+    A run of the mistake may be shorter than the student's, or have stopped answering: what it was not asked
+    speaks neither for nor against it, but it has to show in something that the student answered wrong.
+    """
+    common = [number for number in own if number in theirs and _asked_alike(own[number], theirs[number])]
+    told_apart = False
+    for number in common:
+        if not _answered_alike(own[number].answer, theirs[number].answer):
+            return False
+        if number in right and number in wrong:
+            told_apart = told_apart or _differs_in_numbers(theirs[number].answer, right[number].answer)
+    return told_apart and all(number in common for number in wrong if number in theirs)
+
+
+def _answered_alike(first: Any, second: Any) -> bool:
+    one, other = dict(leaves(first)), dict(leaves(second))
+    return one.keys() == other.keys() and all(_alike(one[path], other[path]) for path in one)
+
+
+def _differs_in_numbers(theirs: Any, right: Any) -> bool:
+    """Whether a mistake shows in numbers: many a mistake ends in the same error of numpy's."""
+    if isinstance(theirs, str):
+        return False
+    wanted = dict(leaves(right))
+    return any(
+        _numbers(leaf) is not None and not (path in wanted and _alike(leaf, wanted[path]))
+        for path, leaf in leaves(theirs)
+    )
 
 
 def _asked_alike(first: Remembered, second: Remembered) -> bool:
@@ -129,24 +168,11 @@ def _asked_alike(first: Remembered, second: Remembered) -> bool:
     )
 
 
-def _missing(answers: Outputs) -> bool:
+def _still_to_be_written(calls: Calls) -> bool:
     """Whether it is a function that is still to be written: no mistake has to be looked for."""
     return all(
-        isinstance(answer, str) and answer.startswith("NotImplementedError") for answer in answers.values()
-    )
-
-
-def _same(first: Outputs, second: Outputs) -> bool:
-    # One side may have been asked less, or have stopped answering.
-    return all(_alike(first[call], second[call]) for call in first if call in second)
-
-
-def _tells_apart(theirs: Outputs, own: Outputs, right: Outputs) -> bool:
-    """Whether a mistake shows in numbers: many a mistake ends in the same error of numpy's."""
-    return any(
-        not isinstance(theirs[call], str) and not _alike(theirs[call], right[call])
-        for call in theirs
-        if call in own and call in right
+        isinstance(call.answer, str) and call.answer.startswith("NotImplementedError")
+        for call in calls.values()
     )
 
 
@@ -167,64 +193,105 @@ def _numbers(value: Any) -> FloatArray | None:
         return None
 
 
-def _largest(place: Place, own: Outputs, right: Outputs) -> Difference:
-    best, size = Difference(place[0], 1, float("nan"), float("nan")), -1.0
-    for call in (call for call in own if call in right):
-        a, b = _numbers(own[call]), _numbers(right[call])
-        if a is None or b is None or a.shape != b.shape or a.size == 0:
-            continue
-        difference = np.nan_to_num(np.abs(a - b), nan=np.inf)
-        index = np.unravel_index(int(np.argmax(difference)), a.shape)
-        if difference[index] > size:
-            size = float(difference[index])
-            best = Difference(place[0], call + 1, float(a[index]), float(b[index]))
+def _largest(function: str, wrong: Sequence[int], own: Calls, right: Calls) -> Difference:
+    best, size = Difference(function, wrong[0] + 1, float("nan"), float("nan")), -1.0
+    for call in wrong:
+        for a, b in _pairs(own[call].answer, right[call].answer):
+            difference = np.nan_to_num(np.abs(a - b), nan=np.inf)
+            index = np.unravel_index(int(np.argmax(difference)), a.shape)
+            if difference[index] > size:
+                size = float(difference[index])
+                best = Difference(function, call + 1, float(a[index]), float(b[index]))
     return best
 
 
-def _signature(place: Place, own: Outputs, right: Outputs) -> str:
-    """What the difference looks like, or nothing."""
-    function, path = place
-    both = [(own[call], right[call]) for call in own if call in right]
-    what = f"output {path[0] + 1} of {function}" if path and isinstance(path[0], int) else function
-    pairs = [
+def _pairs(first: Any, second: Any) -> list[tuple[FloatArray, FloatArray]]:
+    """The outputs of a call that are numbers of the same shape on both sides and differ."""
+    wanted = dict(leaves(second))
+    return [
         (a, b)
-        for first, second in both
-        if (a := _numbers(first)) is not None
-        and (b := _numbers(second)) is not None
+        for path, leaf in leaves(first)
+        if path in wanted
+        and (a := _numbers(leaf)) is not None
+        and (b := _numbers(wanted[path])) is not None
         and a.shape == b.shape
+        and a.size
         and not _alike(a, b)
     ]
-    free = "is something left out that ties the unknowns down, such as a prior or the noise?"
-    if any(isinstance(answer, str) and "Singular matrix" in answer for answer, _ in both):
-        return f"{function} solves equations that have no unique solution; {free}"
-    if rows := _rows_signature(what, both):
-        return rows
-    if not pairs:
-        return ""
+
+
+def _signatures(function: str, wrong: Sequence[int], own: Calls, right: Calls) -> list[str]:
+    """What the differences of a function look like, if every output that is wrong looks like something."""
+    if any(isinstance(own[call].answer, str) and "Singular matrix" in own[call].answer for call in wrong):
+        return [f"{function} solves equations that have no unique solution."]
+    texts = []
+    for path in dict.fromkeys(path for call in wrong for path, _ in leaves(right[call].answer)):
+        both = [
+            (given[path], wanted[path])
+            for call in wrong
+            if path in (given := dict(leaves(own[call].answer)))
+            and path in (wanted := dict(leaves(right[call].answer)))
+        ]
+        if any(not _alike(a, b) for a, b in both):
+            what = f"output {path[0] + 1} of {function}" if path and isinstance(path[0], int) else function
+            texts.append(_rows_signature(what, both) or _signature(what, both))
+    return texts if all(texts) else []
+
+
+def _signature(what: str, both: Sequence[tuple[Any, Any]]) -> str:
+    """What the difference of one output looks like, or nothing: what is seen, no guess at why."""
+    pairs = []
+    for first, second in both:
+        if _alike(first, second):
+            continue
+        a, b = _numbers(first), _numbers(second)
+        if a is None or b is None or a.shape != b.shape:
+            return ""
+        pairs.append((a, b))
     if any(not np.isfinite(a).all() for a, _ in pairs):
-        return f"{what}: there are numbers that are not finite; is something divided by zero?"
+        return f"{what} holds numbers that are not finite (NaN or infinite)."
     if all(not a.any() for a, _ in pairs):
-        return f"{what} is all zeros; is it filled in?"
+        return f"{what} is all zeros."
     if all(_alike(-a, b) for a, b in pairs):
         return f"{what} has the wrong sign throughout."
-    if all(_alike(_nearest_turn(a, b), b) for a, b in pairs):
-        return f"{what} is off by whole turns; wrap angles to (-π, π]."
-    if all(_alike(np.degrees(b), a) or _alike(np.radians(b), a) for a, b in pairs):
-        return f"{what} looks like degrees where radians are needed, or the other way round."
-    if all(a.ndim == 2 and a.shape[0] == a.shape[1] and _alike(a.T, b) for a, b in pairs):
+    square = all(a.ndim == 2 and a.shape[0] == a.shape[1] for a, _ in pairs)
+    if square and all(_alike(a.T, b) for a, b in pairs):
         return f"{what} is transposed."
     ratios = [float(np.vdot(a, b) / np.vdot(b, b)) for a, b in pairs if b.any()]
     if ratios and all(_alike(a, ratios[0] * b) for a, b in pairs):
         return f"{what} is {ratios[0]:.4g} times what it should be."
     if all(a.ndim == 2 and a.shape[1] == 2 and _alike(a[:, ::-1], b) for a, b in pairs):
         return f"{what} has its two columns swapped."
-    squares = [(a, b) for a, b in pairs if a.ndim == 2 and a.shape[0] == a.shape[1]]
-    if squares and all(_alike(a @ b, np.eye(len(a))) for a, b in squares):
-        return f"{what} is the inverse of what it should be; are covariance and information mixed up?"
-    if squares and all(_alike(b, b.T) and not _alike(a, a.T) for a, b in squares):
-        return f"{what} is not symmetric, as a covariance has to be; is a transpose missing?"
+    if square and all(_alike(a @ b, np.eye(len(a))) for a, b in pairs):
+        return f"{what} is the inverse of what it should be."
+    if entries := _entries_signature(what, pairs):
+        return entries
+    if square and all(_alike(b, b.T) and not _alike(a, a.T) for a, b in pairs):
+        return f"{what} is not symmetric, as it has to be."
     if all(np.abs(a).max() > _RUNAWAY * np.abs(b).max(initial=1.0) for a, b in pairs):
-        return f"{what} is larger than what it should be by many orders of magnitude; {free}"
+        return f"{what} is larger than what it should be by many orders of magnitude."
+    return ""
+
+
+def _entries_signature(what: str, pairs: Sequence[tuple[FloatArray, FloatArray]]) -> str:
+    """The same for some entries of an output, where the others are right."""
+    shapes = {a.shape for a, _ in pairs}
+    if len(shapes) > 1 or not next(iter(shapes)):
+        return ""
+    yours, expected = (np.stack(side) for side in zip(*pairs, strict=True))
+    scale = np.abs(expected).max(axis=0)
+    off = np.abs(yours - expected) > SAME * np.maximum(scale, 1e-6 * scale.max(initial=0.0)) + 1e-12
+    a, b = yours[off], expected[off]
+    names = ", ".join(str(index.tolist()) for index in np.argwhere(off.any(axis=0))[:6])
+    whose = what if off.all() else f"{what} in {names}"
+    if _alike(_nearest_turn(a, b), b):
+        return f"{whose} is off by whole turns; angles are wrapped to (-π, π]."
+    if _alike(np.degrees(b), a):
+        return f"{whose} is in degrees where radians are needed."
+    if _alike(np.radians(b), a):
+        return f"{whose} looks like radians that were turned into radians once more."
+    if not off.all() and _alike(-a, b):
+        return f"{whose} has the wrong sign."
     return ""
 
 
@@ -239,9 +306,9 @@ def _rows_signature(what: str, both: Sequence[tuple[Any, Any]]) -> str:
         more += len(given - wanted)
         fewer += len(wanted - given)
     if more and not fewer:
-        return f"{what} holds all that it should and {more} rows more; is a check left out?"
+        return f"{what} holds all that it should and {more} rows more."
     if fewer and not more:
-        return f"{what} lacks {fewer} rows and is right in the others; is a check too strict?"
+        return f"{what} lacks {fewer} rows and is right in the others."
     return ""
 
 

@@ -29,7 +29,7 @@ from slamcmp.grading.assignment.description import (
 from slamcmp.grading.assignment.seeds import check_secret, hidden_generator
 from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, save_outcome
-from slamcmp.grading.run.diagnosis import explain
+from slamcmp.grading.run.diagnosis import contradicted, explain, functions_asked
 from slamcmp.grading.run.implementations import (
     Remembered,
     Remembering,
@@ -50,6 +50,8 @@ from slamcmp.grading.sandbox.session import SandboxSession
 RIGHT = 1 - 1e-9
 """Credit from which a test counts as passed."""
 _OUTPUT_KEPT = 2000
+_SINGLE_CALLS = ("unit", "jacobian")
+"""Kinds of test that ask for single calls, each from the reference's state."""
 
 Sides = tuple[Implementation, Callable[[], Implementation] | None]
 
@@ -156,6 +158,8 @@ class Grading:
     student: str
     secret: bytes
     _replays: dict[tuple[str, str], list[Remembered]] = field(default_factory=dict, repr=False)
+    _asked: list[tuple[TestSpec, Remembering]] = field(default_factory=list, repr=False)
+    """What the submission under way answered in the tests up to now."""
 
     def refused(self, reason: str) -> GradeOutcome:
         """The outcome of a submission that cannot be run: no points, and why."""
@@ -177,6 +181,7 @@ class Grading:
         started = time.monotonic()
         outcome = replace(self._start(), submission_digest=submission.digest)
         shares: dict[str, float] = {}
+        self._asked.clear()
         for number, spec in enumerate(self.assignment.tests, start=1):
             test, verdict = self._test(number, spec, submission, shares)
             shares[spec.fields.name] = test.score / test.max_score
@@ -209,6 +214,7 @@ class Grading:
         try:
             with submission.open() as (implementation, reference_side):
                 remembering = Remembering(implementation)
+                self._asked.append((spec, remembering))
                 trial = self.trial(spec, remembering, reference_side, submission.missing)
                 verdict = spec.plugin.target(trial, **spec.parameters)
             assert verdict is not None
@@ -275,10 +281,25 @@ class Grading:
         )
 
     def causes(self, spec: TestSpec, answered: Remembering) -> list[str]:
-        """Why the answers are wrong, as far as the known mistakes tell."""
-        reference = self._replay(spec, None)
-        known = ((mutant.message, self._replay(spec, mutant)) for mutant in self.assignment.mutants)
-        return explain(answered.answers, reference, known)
+        """Why the answers are wrong, as far as the known mistakes tell.
+
+        A mistake that earlier tests speak against (it would have spoilt an answer that was right) is none.
+        """
+        asked = functions_asked(answered.answers)
+        known = (
+            (mutant.message, self._replay(spec, mutant))
+            for mutant in self.assignment.mutants
+            if mutant.touches(asked) and not self._spoken_against(mutant, spec)
+        )
+        return explain(answered.answers, self._replay(spec, None), known)
+
+    def _spoken_against(self, mutant: Mutant, spec: TestSpec) -> bool:
+        return any(
+            contradicted(self._replay(earlier, mutant), answered.answers, self._replay(earlier, None))
+            for earlier, answered in self._asked
+            if earlier is not spec and earlier.fields.kind in _SINGLE_CALLS
+            if mutant.touches(functions_asked(answered.answers))
+        )
 
     def _replay(self, spec: TestSpec, mutant: Mutant | None) -> list[Remembered]:
         """What the reference, or the reference with a mistake, answers in a test; run once."""

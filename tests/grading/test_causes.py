@@ -1,0 +1,41 @@
+"""Which cause is named of single mistakes as students make them: the right one or none, never another."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from slamcmp.grading.assignment.description import find_assignment, load_assignment, load_source
+from slamcmp.grading.run.publish import InProcess
+from slamcmp.grading.run.grader import Grading
+from slamcmp.support.yaml_source import load_yaml
+
+MISTAKES: list[dict[str, Any]] = load_yaml(Path(__file__).with_name("student_mistakes.yaml")).data["mistakes"]
+
+
+def named(mistake: dict[str, Any], upto: float = 0.6) -> set[str]:
+    """Names of the mutants whose message is told anywhere in the tests of a submission with this mistake."""
+    assignment = load_assignment(find_assignment(mistake["assignment"]))
+    assert assignment.solution_source.count(mistake["old"]) == 1, mistake
+    source = assignment.solution_source.replace(mistake["old"], mistake["new"])
+    module = load_source("slamcmp_student", source, Path("student.py"))
+    *_, outcome = Grading(assignment, "ada", b"a secret of the tests").outcomes(InProcess(module))
+    said = "\n".join(test.message for test in outcome.tests)
+    assert outcome.score < outcome.max_score, mistake
+    # The template's own words, up to the first number that is filled in.
+    return {mutant.name for mutant in assignment.mutants if mutant.message.split("{", 1)[0] in said}
+
+
+@pytest.mark.parametrize("half", ["built", "kept"])
+def test_most_single_mistakes_are_named_and_none_wrongly(half: str) -> None:
+    chosen = [each for each in MISTAKES if each["half"] == half]
+    found: dict[str, list[str]] = defaultdict(list)
+    for mistake in chosen:
+        causes = named(mistake)
+        kind = "right" if causes and causes <= set(mistake["right"]) else "none" if not causes else "wrong"
+        found[kind].append(f"{mistake['assignment']}: {mistake['new']!r} -> {sorted(causes)}")
+    assert found["wrong"] == []
+    assert len(found["right"]) >= 0.75 * len(chosen), found["none"]
