@@ -44,13 +44,15 @@ def grade(
 ) -> None:
     """Grade one submission in a sandbox and explain what is wrong.
 
-    Exit code 0: graded, whatever the marks are.
+    Exit code 0: graded, whatever the marks are; 2: there is nothing to grade.
     """
     import json
     from dataclasses import asdict
 
     from slamcmp.grading.run.grader import grade as grade_submission
 
+    if not os.path.lexists(submission):
+        raise UsageError(f"{submission}: there is no such file or folder to grade")
     outcome = grade_submission(
         Path(assignment),
         submission,

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from slamcmp.grading.assignment.description import find_assignment, load_assignment, load_source
-from slamcmp.grading.run.publish import InProcess
 from slamcmp.grading.run.grader import Grading
+from slamcmp.grading.run.publish import InProcess
 from slamcmp.support.yaml_source import load_yaml
 
 MISTAKES: list[dict[str, Any]] = load_yaml(Path(__file__).with_name("student_mistakes.yaml")).data["mistakes"]

@@ -201,22 +201,6 @@ def load_assignment(folder: Path) -> Assignment:
     return Assignment(folder, fields, tests, mutants, solution, _digest(folder))
 
 
-def missing_functions(assignment: Assignment, source: bytes) -> tuple[str, ...]:
-    """Of the functions asked for, those that a submission's entry file does not define or import."""
-    try:
-        tree = ast.parse(source)
-    except (SyntaxError, ValueError):
-        return ()
-    bound = {
-        getattr(node, "asname", None) or getattr(node, "name", None) or getattr(node, "id", None)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.alias | ast.Name)
-    }
-    if "*" in bound:
-        return ()
-    return tuple(name for name in assignment.fields.functions if name not in bound)
-
-
 def load_source(name: str, source: str, path: Path) -> ModuleType:
     """A new module from text of the course's own; ``path`` stands in tracebacks.
 

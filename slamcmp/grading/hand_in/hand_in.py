@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import re
+import tokenize
 from collections.abc import Mapping
 from pathlib import PurePosixPath
 
@@ -59,7 +62,7 @@ class Collector:
         if len(self.files) >= FILES_MAX:
             raise SubmissionError(f"the submission has more than {FILES_MAX} files")
         if path.endswith(".py"):
-            check_source(path, content)
+            content = as_utf8(path, content)
         self.files[path] = content
 
     def checked(self, name: str) -> Mapping[str, bytes]:
@@ -87,19 +90,38 @@ def check_path(path: str) -> None:
         raise SubmissionError(f"{shown(path)}: is no usable file name")
 
 
-def check_source(path: str, content: bytes) -> None:
-    """Refuse a Python file that is no text.
+def as_utf8(path: str, content: bytes) -> bytes:
+    """A Python file in UTF-8: it may come in UTF-16 or UTF-8 with a mark, or in what its coding line names.
 
     Raises:
-        SubmissionError: with the place.
+        SubmissionError: it is no text, with the place.
     """
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return _decoded(path, content, "utf-16").encode()
     if b"\0" in content:
         raise SubmissionError(f"{path}: is no Python source, it holds binary data")
     try:
-        content.decode("utf-8-sig")
+        encoding, _ = tokenize.detect_encoding(io.BytesIO(content).readline)
+    except SyntaxError as error:
+        # No coding line and no UTF-8 in the first two lines, or a coding line that names nothing known.
+        _decoded(path, content, "utf-8-sig")
+        raise SubmissionError(f"{path}: {error.msg}; save the file as UTF-8") from error
+    text = _decoded(path, content, encoding)
+    if encoding in ("utf-8", "utf-8-sig"):
+        return text.encode()
+    first, second, rest = [*text.split("\n", 2), "", ""][:3]
+    declared = re.compile(r"(coding[:=]\s*)[-\w.]+")
+    return "\n".join([declared.sub(r"\1utf-8", first), declared.sub(r"\1utf-8", second), rest]).encode()
+
+
+def _decoded(path: str, content: bytes, encoding: str) -> str:
+    try:
+        return content.decode(encoding)
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise SubmissionError(f"{path}, line {line}: is not UTF-8 text; save the file as UTF-8") from error
+        name = "UTF-8" if encoding.startswith("utf-8") else encoding
+        what = f"{path}, line {line}: is not {name} text; save the file as UTF-8"
+        raise SubmissionError(what) from error
 
 
 def shown(path: str) -> str:

@@ -11,6 +11,7 @@ from annotated_types import Ge, Gt
 from slamcmp.grading.results.outcome import Plot, Series
 from slamcmp.grading.results.scoring import log_linear
 from slamcmp.grading.run.trial import Track, Trial, Verdict
+from slamcmp.grading.run.watched import Watched
 from slamcmp.registry import test_kinds
 from slamcmp.types import FloatArray
 
@@ -39,8 +40,8 @@ def accuracy(
         full: ratio up to which all points are given.
         zero: ratio from which none are given.
     """
-    drive = trial.procedure(procedure)
-    own: list[Track] = [drive(trial.student, generator) for generator in trial.run_generators(runs)]
+    drive, student = trial.procedure(procedure), Watched(trial.student, trial.reference)
+    own: list[Track] = [drive(student, generator) for generator in trial.run_generators(runs)]
     best: list[Track] = [drive(trial.reference, generator) for generator in trial.run_generators(runs)]
     rmse, rmse_reference = (_rmse(tracks, components) for tracks in (own, best))
     ratio = rmse / rmse_reference

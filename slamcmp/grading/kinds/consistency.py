@@ -12,6 +12,7 @@ from scipy.special import chdtri
 from slamcmp.errors import UsageError
 from slamcmp.grading.results.scoring import log_linear
 from slamcmp.grading.run.trial import Track, Trial, Verdict
+from slamcmp.grading.run.watched import Watched
 from slamcmp.registry import test_kinds
 
 SAME_AS_REFERENCE = 1.02
@@ -39,8 +40,8 @@ def consistency(
         probability: that a consistent estimator misses the band by chance.
         zero: factor outside of the band from which no points are given.
     """
-    drive = trial.procedure(procedure)
-    own = [drive(trial.student, generator) for generator in trial.run_generators(runs)]
+    drive, student = trial.procedure(procedure), Watched(trial.student, trial.reference)
+    own = [drive(student, generator) for generator in trial.run_generators(runs)]
     best = [drive(trial.reference, generator) for generator in trial.run_generators(runs)]
     dof = own[0].errors.shape[1]
     low, high = (float(chdtri(len(own) * dof, p)) / len(own) for p in (1 - probability / 2, probability / 2))

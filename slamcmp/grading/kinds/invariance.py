@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from typing import Annotated
 
 from annotated_types import Gt
 
 from slamcmp.grading.results.scoring import log_linear
 from slamcmp.grading.run.trial import Trial, Verdict
+from slamcmp.grading.run.watched import Watched
 from slamcmp.registry import test_kinds
 
 
@@ -25,20 +27,35 @@ def invariance(
     Args:
         trial: what is tested.
         procedure: ``name(implementation, generator) -> dict[statement, residual]`` of ``cases.py``; every
-            statement, a sentence that ought to be true, weighs the same.
+            statement, a sentence that ought to be true, weighs the same. A function that does nothing keeps
+            every statement: its share of the functions asked is taken off.
         full: residual up to which a statement counts as true.
         zero: residual from which it counts nothing.
     """
-    residuals: dict[str, float] = trial.procedure(procedure)(trial.student, trial.seeded())
+    student = Watched(trial.student, trial.reference)
+    residuals: dict[str, float] = trial.procedure(procedure)(student, trial.seeded())
+    if student.not_finite:
+        who = _list(student.not_finite)
+        return Verdict(
+            0.0, f"{who} gives numbers that are not finite (NaN or infinite): nothing holds of them."
+        )
     shares = {what: log_linear(float(size), full, zero) for what, size in residuals.items()}
     lines = [
         f"This should hold, but {_by(residuals[what])}: {what}."
         for what, share in shares.items()
         if share < 1
     ]
-    return Verdict(
-        sum(shares.values()) / len(shares), "\n".join(lines) or f"All hold: {'; '.join(residuals)}."
-    )
+    share = sum(shares.values()) / len(shares)
+    if student.idle:
+        # What does nothing keeps everything.
+        share *= 1 - len(student.idle) / len(student.asked)
+        who = _list(student.idle)
+        lines.append(f"{who} gives back its arguments or zeros: that keeps everything, and earns nothing.")
+    return Verdict(share, "\n".join(lines) or f"All hold: {'; '.join(residuals)}.")
+
+
+def _list(names: Set[str]) -> str:
+    return ", ".join(sorted(names))
 
 
 def _by(size: float) -> str:

@@ -8,6 +8,7 @@ from annotated_types import Gt
 
 from slamcmp.grading.results.scoring import log_linear
 from slamcmp.grading.run.trial import Trial, Verdict
+from slamcmp.grading.run.watched import Watched
 from slamcmp.registry import test_kinds
 
 
@@ -29,8 +30,8 @@ def must_fail(
         full: ratio to the reference's failure, one way or the other, up to which all points are given.
         zero: ratio from which none are given.
     """
-    measure = trial.procedure(procedure)
-    own = float(measure(trial.student, trial.seeded()))
+    measure, student = trial.procedure(procedure), Watched(trial.student, trial.reference)
+    own = float(measure(student, trial.seeded()))
     expected = float(measure(trial.reference, trial.seeded()))
     ratio = max(own / expected, expected / own) if own > 0 else float("inf")
     credit = log_linear(ratio, full, zero)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.grading.results.scoring import log_linear
+from slamcmp.grading.results.scoring import as_array, leaves, log_linear, relative_error
+from slamcmp.grading.run.implementations import Remembered, Remembering
 from slamcmp.grading.run.trial import Trial, Verdict
+from slamcmp.grading.sandbox.errors import StudentError
 from slamcmp.registry import test_kinds
 
 
@@ -21,10 +24,12 @@ def speed(
     rounds: Annotated[int, Ge(3)] = 5,
     full: Annotated[float, Gt(0)] = 3.0,
     zero: Annotated[float, Gt(0)] = 30.0,
+    wrong: Annotated[float, Gt(0)] = 1e-3,
 ) -> Verdict:
     """Median of the paired ratios of processor time; name the accuracy test in the key ``after``.
 
-    Both sides run in a sandbox of the same making, in turns; the kernel counts.
+    The answers that were timed are looked at afterwards: time spent on others earns nothing. Both sides run
+    in a sandbox of the same making, in turns; the kernel counts.
 
     Args:
         trial: what is tested.
@@ -32,6 +37,7 @@ def speed(
         rounds: pairs of runs.
         full: ratio up to which all points are given.
         zero: ratio from which none are given.
+        wrong: largest error of a timed answer, relative to the reference's largest entry, that still counts.
     """
     if trial.short or trial.sandboxed_reference is None:
         # Outside of a sandbox there is nothing to be compared with.
@@ -40,11 +46,16 @@ def speed(
     reference = trial.sandboxed_reference()
     ratios = []
     for generator in [trial.seeded(), *trial.seeded().spawn(rounds)]:
-        taken = []
-        for implementation in (trial.student, reference):
+        taken, answered = [], []
+        for side in (trial.student, reference):
+            implementation = Remembering(side)
             before = implementation.cpu_s()
             run(implementation, np.random.default_rng(generator.bit_generator.state["state"]["state"]))
             taken.append(implementation.cpu_s() - before)
+            answered.append(implementation.answers)
+        if (error := _largest_error(*answered)) > wrong:
+            size = f"off by {error:.2g} of its largest entry" if math.isfinite(error) else "of another kind"
+            return Verdict(0.0, f"Not counted: an answer that was timed is {size}.")
         ratios.append(taken[0] / max(taken[1], 1e-6))
     # The first round warms both up.
     ratio = float(np.median(ratios[1:]))
@@ -54,3 +65,21 @@ def speed(
     )
     rank = (("time / reference", round(ratio, 2), "asc"),) if math.isfinite(ratio) else ()
     return Verdict(credit, message, leaderboard=rank)  # type: ignore[arg-type]
+
+
+def _largest_error(student: Sequence[Remembered], reference: Sequence[Remembered]) -> float:
+    """Relative to the largest entry of each output; infinite where an answer is built in another way."""
+    if len(student) != len(reference):
+        return math.inf
+    largest = 0.0
+    for given, wanted in zip(student, reference, strict=True):
+        own, right = dict(leaves(given.answer)), dict(leaves(wanted.answer))
+        if own.keys() != right.keys():
+            return math.inf
+        for path, leaf in right.items():
+            try:
+                array = as_array(own[path], np.shape(leaf), given.name)
+            except StudentError:
+                return math.inf
+            largest = max(largest, relative_error(array, np.asarray(leaf, dtype=np.float64)))
+    return largest

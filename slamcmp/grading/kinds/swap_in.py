@@ -10,8 +10,8 @@ from annotated_types import Ge, Gt, Le
 
 from slamcmp.grading.results.scoring import log_linear, relative_error
 from slamcmp.grading.run.trial import Implementation, Trial, Verdict
+from slamcmp.grading.run.watched import Watched
 from slamcmp.grading.sandbox.answers import Answer
-from slamcmp.grading.sandbox.errors import StudentError
 from slamcmp.registry import test_kinds
 from slamcmp.types import Frame, Problem
 
@@ -28,8 +28,9 @@ def swap_in(
 ) -> Verdict:
     """Run a procedure that calls the submission's functions, and compare its result with the reference's.
 
-    A function that is missing or not implemented is replaced and costs nothing here; who has fewer than
-    ``own_share`` of the functions earns nothing.
+    A function that is missing, or of which nothing is written but ``raise NotImplementedError``, is replaced
+    and costs nothing here; who has fewer than ``own_share`` of the functions earns nothing. Whatever a
+    function that was written raises is its answer.
 
     Args:
         trial: what is tested.
@@ -40,10 +41,10 @@ def swap_in(
         zero: relative error from which none are given.
     """
     mixed = _Mixed(trial)
+    replaced = [name for name in functions if name in trial.missing]
     run = trial.procedure(procedure)
     result = np.asarray(run(mixed, trial.seeded()), dtype=np.float64)
     expected = np.asarray(run(trial.reference, trial.seeded()), dtype=np.float64)
-    replaced = [name for name in functions if name in mixed.replaced]
     note = f" In place of your {', '.join(replaced)}, the reference was used." if replaced else ""
     if len(functions) - len(replaced) < own_share * len(functions):
         return Verdict(0.0, "Too few of the functions are there to put them together." + note)
@@ -59,19 +60,12 @@ class _Mixed:
     """The student's functions where there are any."""
 
     def __init__(self, trial: Trial) -> None:
-        self._student: Implementation = trial.student
+        self._student: Implementation = Watched(trial.student, trial.reference)
         self._reference = trial.reference
-        self.replaced = set(trial.missing)
+        self._replaced = frozenset(trial.missing)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        if name not in self.replaced:
-            try:
-                return self._student.call(name, *arguments)
-            except StudentError as error:
-                if error.type_name != "NotImplementedError":
-                    raise
-                self.replaced.add(name)
-        return self._reference.call(name, *arguments)
+        return (self._reference if name in self._replaced else self._student).call(name, *arguments)
 
     def construct(
         self, name: str, problem: Problem | None = None, parameters: Mapping[str, Any] | None = None

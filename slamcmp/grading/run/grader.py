@@ -24,9 +24,9 @@ from slamcmp.grading.assignment.description import (
     TestSpec,
     find_assignment,
     load_assignment,
-    missing_functions,
 )
 from slamcmp.grading.assignment.seeds import check_secret, hidden_generator
+from slamcmp.grading.hand_in.source_reader import read_source, told
 from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, save_outcome
 from slamcmp.grading.run.diagnosis import contradicted, explain, functions_asked
@@ -104,6 +104,8 @@ class Runner(Protocol):
 
     digest: str
     missing: tuple[str, ...]
+    notes: tuple[str, ...]
+    """What the student has to know before the tests."""
     level: str
     proofs: Mapping[str, str]
     output: str
@@ -121,7 +123,9 @@ class Sandboxed:
         self._submission = submission
         self._accept_weak = accept_weak
         self.digest = submission.digest
-        self.missing = missing_functions(assignment, submission.files[submission.entry])
+        reading = read_source(submission, assignment.fields.functions)
+        self.missing = reading.unwritten
+        self.notes: tuple[str, ...] = (told(reading.left_out),) if reading.left_out else ()
         self.level = "not started"
         self.proofs: Mapping[str, str] = {}
         self.output = ""
@@ -179,7 +183,7 @@ class Grading:
     def outcomes(self, submission: Runner) -> Iterator[GradeOutcome]:
         """The outcome after each test."""
         started = time.monotonic()
-        outcome = replace(self._start(), submission_digest=submission.digest)
+        outcome = replace(self._start(), submission_digest=submission.digest, notes=submission.notes)
         shares: dict[str, float] = {}
         self._asked.clear()
         for number, spec in enumerate(self.assignment.tests, start=1):

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
+from slamcmp.grading.results.scoring import leaves
 from slamcmp.grading.run.trial import Implementation
 from slamcmp.grading.sandbox.answers import Answer, read_answer
 from slamcmp.grading.sandbox.errors import StudentError, StudentTimeout
@@ -17,6 +20,8 @@ from slamcmp.types import Frame, Problem
 
 REMEMBERED = 4000
 """Answers kept for a diagnosis."""
+REMEMBERED_BYTES = 32 << 20
+"""Of their arrays."""
 
 
 class TrustedImplementation:
@@ -121,6 +126,7 @@ class Remembering:
     def __init__(self, inner: Implementation, limit: int = REMEMBERED) -> None:
         self._inner = inner
         self._limit = limit
+        self._bytes_left = REMEMBERED_BYTES
         self.answers: list[Remembered] = []
 
     def call(self, name: str, *arguments: Any) -> Any:
@@ -159,7 +165,8 @@ class Remembering:
         return self._inner.cpu_s()
 
     def _keep(self, name: str, arguments: Sequence[Any], answer: Any) -> None:
-        if len(self.answers) < self._limit:
+        self._bytes_left -= sum(np.asarray(leaf).nbytes for _, leaf in leaves([list(arguments), answer]))
+        if len(self.answers) < self._limit and self._bytes_left > 0:
             self.answers.append(Remembered(name, tuple(arguments), answer))
 
 

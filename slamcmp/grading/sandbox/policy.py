@@ -32,7 +32,7 @@ class Policy:
     threads: int = 64
     """Enforced where the process has a uid of its own, elsewhere memory is the limit."""
     open_files: int = 64
-    reply_bytes: int = 64 << 20
+    reply_bytes: int = 16 << 20
     """Largest body of one answer."""
     output_bytes: int = 64 << 10
     """Kept of everything the submission prints; the rest is counted and thrown away."""

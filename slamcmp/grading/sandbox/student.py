@@ -10,6 +10,8 @@ import traceback
 from types import ModuleType
 from typing import Any
 
+from slamcmp.grading.sandbox.definitions import definitions
+
 MODULE_NAME = "submission"
 _MESSAGE_MAX, _FRAMES_MAX, _CODE_MAX = 2000, 12, 200
 
@@ -17,8 +19,7 @@ _MESSAGE_MAX, _FRAMES_MAX, _CODE_MAX = 2000, 12, 200
 def load(folder: str, entry: str, *, definitions_only: bool) -> ModuleType:
     """Import ``folder/entry``; its neighbours can be imported by it.
 
-    With ``definitions_only``, run only its imports, functions, classes and assignments without a call:
-    a notebook's exploration is not executed.
+    With ``definitions_only``, run what definitions.py chooses: a notebook's exploration is not executed.
 
     Raises:
         BaseException: whatever the submission raises.
@@ -30,7 +31,7 @@ def load(folder: str, entry: str, *, definitions_only: bool) -> ModuleType:
     linecache.cache[path] = (len(source), None, source.splitlines(keepends=True), path)
     tree = ast.parse(source, filename=path)
     if definitions_only:
-        tree.body = [statement for statement in tree.body if _defines(statement)]
+        tree.body, _ = definitions(tree.body)
     name = os.path.splitext(os.path.basename(entry))[0]
     if name in sys.modules or name in sys.stdlib_module_names or not name.isidentifier():
         name = MODULE_NAME
@@ -79,10 +80,3 @@ def describe(error: BaseException, folder: str) -> dict[str, Any]:
 
 def _inside(filename: str | None, folder: str) -> bool:
     return filename is not None and str(filename).startswith(folder + os.sep)
-
-
-def _defines(statement: ast.stmt) -> bool:
-    if isinstance(statement, ast.Assign | ast.AnnAssign):
-        return not any(isinstance(node, ast.Call | ast.Await) for node in ast.walk(statement))
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Import, ast.ImportFrom)
-    return isinstance(statement, kinds)
