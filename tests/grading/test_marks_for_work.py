@@ -10,11 +10,11 @@ import pytest
 
 from slamcmp.grading.assignment.description import Assignment, find_assignment, load_assignment, load_source
 from slamcmp.grading.assignment.idle import idle_submissions
-from slamcmp.grading.hand_in.source_reader import read_source
 from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.results.outcome import GradeOutcome
 from slamcmp.grading.run.grader import Grading
 from slamcmp.grading.run.publish import InProcess
+from slamcmp.grading.run.source_reader import read_source
 from slamcmp.grading.run.watched import Watched
 from slamcmp.grading.sandbox.definitions import definitions
 from slamcmp.grading.sandbox.errors import StudentError

@@ -26,7 +26,6 @@ from slamcmp.grading.assignment.description import (
     load_assignment,
 )
 from slamcmp.grading.assignment.seeds import check_secret, hidden_generator
-from slamcmp.grading.hand_in.source_reader import read_source, told
 from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, save_outcome
 from slamcmp.grading.run.diagnosis import contradicted, explain, functions_asked
@@ -36,6 +35,7 @@ from slamcmp.grading.run.implementations import (
     SandboxedImplementation,
     TrustedImplementation,
 )
+from slamcmp.grading.run.source_reader import read_source, told
 from slamcmp.grading.run.trial import Implementation, Trial, Verdict
 from slamcmp.grading.sandbox.errors import (
     ProtocolViolation,
