@@ -34,7 +34,8 @@ def _echoed(answer, arguments):
         return type(answer)(_echoed(each, arguments) for each in answer)
     shape = _np.shape(answer)
     alike = [each for each in arguments if _np.shape(each) == shape]
-    nearest = alike or [each for each in arguments if _np.ndim(each) == len(shape)]
+    wide = [each for each in arguments if _np.ndim(each) == len(shape)]
+    nearest = alike or sorted(wide, key=lambda each: -sum(a == b for a, b in zip(_np.shape(each), shape)))
     if not nearest:
         return _np.zeros(shape)
     same = _np.zeros(shape)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Gt
@@ -25,6 +26,9 @@ def unit(
 ) -> Verdict:
     """Compare answers with the reference's, output by output, with log-linear credit.
 
+    An output that is the same in every call, where the reference's is not, was not computed and earns
+    nothing.
+
     Args:
         trial: what is tested.
         function: the function to call.
@@ -34,7 +38,9 @@ def unit(
         zero: relative error from which none are given.
     """
     todo: list[Case] = trial.procedure(cases)(trial.reference, trial.seeded())
-    credits, right = [], 0
+    credits: list[list[float]] = []
+    right = 0
+    told: list[tuple[list[Any], list[Any]]] = []
     worst: tuple[float, str] = (0.0, "")
     raised: dict[str, str] = {}
     for number, case in enumerate(todo):
@@ -50,7 +56,7 @@ def unit(
                 )
         except StudentError as error:
             raised.setdefault(error.text, label)
-            credits.append(0.0)
+            credits.append([0.0])
             continue
         shares = []
         for name, value, wanted in zip(names, given, expected, strict=True):
@@ -64,7 +70,8 @@ def unit(
             shares.append(log_linear(size, full, zero))
             if size > max(full, worst[0]):
                 worst = (size, f"{name} of {function} is off by {_percent(size)} in {label}")
-        credits.append(sum(shares) / len(shares))
+        credits.append(shares)
+        told.append((given, expected))
         right += min(shares) == 1.0
     lines = [f"{right} of {len(todo)} calls of {function} are right."]
     if all(text.startswith("NotImplementedError") for text in raised) and len(raised) == 1 and right == 0:
@@ -72,7 +79,25 @@ def unit(
     lines += [f"In {label}: {text}" for text, label in list(raised.items())[:2]]
     if worst[1]:
         lines.append(worst[1][0].upper() + worst[1][1:] + ".")
-    return Verdict(sum(credits) / len(credits), "\n".join(lines))
+    if len(told) == len(todo) > 1:
+        for index in np.flatnonzero(_constant(told)):
+            for shares in credits:
+                shares[index] = 0.0
+    credit = sum(sum(shares) / len(shares) for shares in credits) / len(credits)
+    return Verdict(credit, "\n".join(lines))
+
+
+def _constant(told: Sequence[tuple[list[Any], list[Any]]]) -> list[bool]:
+    """Of each output, whether it is the same in all calls and the reference's is not."""
+    return [
+        all(_equal(given[index], told[0][0][index]) for given, _ in told)
+        and not all(_equal(expected[index], told[0][1][index]) for _, expected in told)
+        for index in range(len(told[0][1]))
+    ]
+
+
+def _equal(first: Any, second: Any) -> bool:
+    return np.shape(first) == np.shape(second) and bool(np.array_equal(first, second))
 
 
 def _percent(size: float) -> str:
