@@ -29,16 +29,15 @@ def named(mistake: dict[str, Any]) -> set[str]:
     return {mutant.name for mutant in assignment.mutants if mutant.message.split("{", 1)[0] in said}
 
 
+SMALL = [each for each in MISTAKES if each["assignment"] == "kalman_filter"]
+HALVES = {half: [each for each in MISTAKES if each["half"] == half] for half in ("built", "kept")}
+
+
 @pytest.mark.parametrize(
     "chosen",
     [
-        pytest.param(MISTAKES[3::6], id="every sixth"),
-        pytest.param(
-            [each for each in MISTAKES if each["half"] == "built"], id="built", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            [each for each in MISTAKES if each["half"] == "kept"], id="kept", marks=pytest.mark.slow
-        ),
+        pytest.param(SMALL, id="kalman_filter"),
+        *(pytest.param(each, id=half, marks=pytest.mark.slow) for half, each in HALVES.items()),
     ],
 )
 def test_most_single_mistakes_are_named_and_none_wrongly(chosen: list[dict[str, Any]]) -> None:
