@@ -29,7 +29,7 @@ def run(
     *,
     folder: str | os.PathLike[str] | None = None,
     jobs: int | None = None,
-    seeds: Sequence[int] | None = None,
+    seeds: int | Sequence[int] | None = None,
     rerun_failed: bool = False,
     executor: str | None = None,
     progress: bool | None = None,
@@ -60,7 +60,7 @@ def run(
             run anew each time. The others run in worker processes and are reused, as ever.
         folder: where results go; default ``results/NAME``, for a mapping without a name one for its content.
         jobs: how many jobs run at a time; default: one for each core.
-        seeds: exactly these, in place of the experiment's own.
+        seeds: how many (0, 1, …), or exactly these, in place of the experiment's own.
         rerun_failed: also run again what did not end well.
         executor: where jobs run; default ``processes``, with a class of this process ``session``.
         progress: show a line or a bar for each job; default: on a terminal and in a notebook.
@@ -71,6 +71,9 @@ def run(
         Interrupted: Ctrl-C, or a notebook's stop button: what finished is in the exception's ``results`` and
             in the folder, and the same call goes on from there.
     """
+    chosen = None if seeds is None else _checked_seeds(seeds)
+    if jobs is not None and (not _is_whole(jobs) or jobs < 1):
+        raise UsageError(f"run: jobs is how many run at a time, 1 or more, not {jobs!r}")
     shown = _is_watched() if progress is None else progress
     own: dict[str, Plugin] = {}
     if isinstance(experiment, Mapping):
@@ -102,7 +105,7 @@ def run(
                 folder=place,
                 jobs=jobs,
                 rerun_failed=rerun_failed,
-                seeds=seeds,
+                seeds=chosen,
                 executor=executor or (SESSION if own else "processes"),
                 progress=shown,
                 command="slamcmp.run",
@@ -122,6 +125,22 @@ def load_results(folder: str | os.PathLike[str]) -> Results:
         DataError: they are damaged.
     """
     return read_results(find_results(os.fspath(folder)))
+
+
+def _checked_seeds(seeds: Any) -> list[int]:
+    """What a file's ``seeds:`` allows."""
+    given = plain_data(seeds)
+    found = list(range(given)) if _is_whole(given) else given
+    well = isinstance(found, list) and found and all(_is_whole(seed) and seed >= 0 for seed in found)
+    if not well or len(set(found)) < len(found):
+        raise UsageError(
+            f"run: seeds is a number from 1 on or a list of different seeds from 0 on, not {seeds!r}"
+        )
+    return [int(seed) for seed in found]
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
 def _without_objects(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Plugin]]:

@@ -185,6 +185,26 @@ def test_what_is_no_experiment_is_told(wrong: Any) -> None:
         slamcmp.run(wrong)
 
 
+@pytest.mark.parametrize(
+    ("seeds", "used"), [(2, [0, 1]), ([7, 3], [7, 3]), (np.arange(2, 4), [2, 3]), (range(1), [0])]
+)
+def test_seeds_in_place_of_the_experiments_own(here: Path, seeds: Any, used: list[int]) -> None:
+    content = {"source": WORLD, "back_ends": ["dead_reckoning"], "seeds": 9}
+    results = slamcmp.run(content, seeds=seeds, executor="serial", progress=False)
+    assert results.trials["seed"].tolist() == used
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"seeds": seeds} for seeds in (0, -1, [], [1, 1], [-1], "3", 1.5, True, [0.5])]
+    + [{"jobs": jobs} for jobs in (0, -2, "2", 1.5, True)],
+)
+def test_options_out_of_range_are_told(here: Path, options: dict[str, Any]) -> None:
+    (name,) = options
+    with pytest.raises(slamcmp.UsageError, match=f"run: {name} is "):
+        slamcmp.run({"source": WORLD, "back_ends": ["dead_reckoning"]}, **options)
+
+
 def test_an_object_is_no_class(here: Path, ran: Callable[..., Any]) -> None:
     problem = slamcmp.make_stream("circle", steps=3, landmarks=3).problem
     with pytest.raises(slamcmp.UsageError, match="hand over the class"):

@@ -45,7 +45,9 @@ class Kernel:
     """Runs cells one after the other."""
 
     def __init__(self, folder: Path) -> None:
-        self.manager, self.client = manager.start_new_kernel(kernel_name="python3", cwd=str(folder))
+        self.manager, self.client = manager.start_new_kernel(
+            startup_timeout=120, kernel_name="python3", cwd=str(folder)
+        )
 
     def run(self, code: str, *, interrupt_on: str = "") -> dict[str, Any]:
         """What a cell gave: ``text`` it printed, ``data`` it showed by type, ``error`` as (name, message).

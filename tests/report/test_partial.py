@@ -215,3 +215,16 @@ def test_the_command_line_says_it(partial: Results, tmp_path: Path) -> None:
         assert ended.exit_code == 0, ended.output
         assert "9 of 54 runs are missing" in ended.stderr
     assert json.loads((partial.folder / "manifest.json").read_text())["tables_sha256"]
+
+
+def test_results_show_themselves(whole: Results) -> None:
+    """Counts by status, medians with units, and nothing of a message as markup."""
+    page = whole._repr_html_()
+    assert "54: 52 ok, 1 diverged, 1 crashed" in page
+    assert "online ATE [m]" in page
+    assert "missing" not in page
+    manifest = {**whole.manifest, "question": "<script>x</script>", "in_session": {"Mine": None}}
+    page = replace(whole, manifest=manifest)._repr_html_()
+    assert "<script" not in page
+    assert "Mine: without a memory limit" in page
+    assert "54: 52 ok" in repr(whole)
