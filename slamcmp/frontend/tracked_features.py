@@ -95,6 +95,7 @@ def tracked_features(
 
 def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[MeasurementStream, list[MatchRecord]]:
     """The stream, and the matches of every image for setting them against the truth."""
+    from slamcmp.frontend.vision.motion_check import MotionCheck
     from slamcmp.frontend.vision.one_thread import one_thread
     from slamcmp.frontend.vision.tracker import STAGES, FeatureTracker
 
@@ -104,13 +105,16 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
             "detections there is front end 'labelled'"
         )
     tracker = FeatureTracker(log.problem.sensor, settings, random_streams(seed).front_end)
+    check = MotionCheck(tracker.sensor)
     frames, counts, kept, records = [], [], [], []
     events: Counter[str] = Counter()
     skipped: Counter[str] = Counter()
     times: dict[str, list[float]] = {}
     with one_thread():
         for k, t in enumerate(log.t.tolist()):
-            sighting = tracker.step(log.images[k], log.T_prev_body[k], log.Q[k])
+            image = log.images[k]
+            check.look(image.image, log.T_prev_body[k])
+            sighting = tracker.step(image, log.T_prev_body[k], log.Q[k])
             seen = sighting.detections
             frames.append(
                 Frame(k, t, log.T_prev_body[k], log.Q[k], seen.ids, seen.z, seen.R, sighting.entries)
@@ -131,7 +135,11 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
         tuple(kept),
         dict(sorted(events.items())),
         {name: np.array(values) for name, values in times.items()},
-        (*_skipped(skipped, log), *tracker.warnings()),
+        (
+            *_skipped(skipped, log),
+            *tracker.warnings(),
+            *(check.findings(float(np.median(np.diff(log.t)))) if log.t.size > 1 else ()),
+        ),
     )
     problem = Problem(log.problem.T_world_body, log.problem.P, tracker.sensor)
     return MeasurementStream(problem, tuple(frames), report), records
