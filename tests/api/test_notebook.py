@@ -29,11 +29,11 @@ import time
 
 class Slow(Standing):
     def update(self, frame):
-        time.sleep(0.05)
+        time.sleep(0.03)
 
 asked = {
     "name": "half",
-    "source": {"name": "circle", "landmarks": 5, "steps": 40},
+    "source": {"name": "circle", "landmarks": 5, "steps": 15},
     "back_ends": BACK_ENDS,
     "seeds": 30,
 }
