@@ -1,11 +1,14 @@
 """A calibration file of one's own camera, for folders of images.
 
+What Kalibr, ROS, OpenCV and COLMAP write is read as well (:mod:`slamcmp.datasets.foreign_calibrations`).
+
 YAML with these keys, in pixels and metres::
 
     camera: stereo                  # mono, stereo or rgbd
     image_size: [752, 480]          # width, height
     intrinsics: [fx, fy, cx, cy]
     distortion: [k1, k2, p1, p2]    # radial-tangential, k3 may follow; absent: none
+    lens: equidistant               # a fisheye with distortion [k1, k2, k3, k4]; absent: radial-tangential
     T_body_camera: [...]            # 4×4; absent: x forward, y left, z up at the camera
     baseline_m: 0.12                # stereo, where the pair is rectified already; else:
     right:
@@ -25,7 +28,8 @@ from typing import Any
 import numpy as np
 
 from slamcmp.datasets.camera_frames import DepthFormat, require_fit
-from slamcmp.datasets.rectification import Lens, Remap, Size, rectify, undistort
+from slamcmp.datasets.foreign_calibrations import colmap, in_own_words
+from slamcmp.datasets.rectification import Lens, Remap, Size, rectify, require_no_fold, undistort
 from slamcmp.datasets.trajectories import nearest_rotations
 from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
 from slamcmp.errors import DataError
@@ -36,9 +40,10 @@ from slamcmp.types import FloatArray
 
 AnyCamera = MonoCamera | StereoCamera | RgbdCamera
 
-_COMMON = {"camera", "image_size", "intrinsics", "distortion", "T_body_camera"}
+_COMMON = {"camera", "image_size", "intrinsics", "lens", "distortion", "T_body_camera"}
 _OWN = {"mono": set(), "stereo": {"baseline_m", "right"}, "rgbd": {"depth_units_per_m", "depth_unknown"}}
-_RIGHT = {"intrinsics", "distortion", "T_left_right"}
+_RIGHT = {"intrinsics", "lens", "distortion", "T_left_right"}
+_LENSES = ("radial-tangential", "equidistant")
 
 
 _BASELINE_M = (0.002, 5.0)
@@ -63,7 +68,7 @@ def read_calibration(path: Path) -> Calibration:
     Raises:
         DataError: a key is missing, not known, or its value does not fit; the message names file and key.
     """
-    data = read_mapping(path)
+    data = colmap(path) if path.suffix == ".txt" else in_own_words(path, read_mapping(path))
     kind = value_of(path, data, "camera")
     if kind not in _OWN:
         raise DataError(f"{path}: camera is {kind!r}; mono, stereo or rgbd is needed")
@@ -74,6 +79,7 @@ def read_calibration(path: Path) -> Calibration:
     size = (int(width), int(height))
     mounting = _rigid(path, data, "T_body_camera") if "T_body_camera" in data else FORWARD_CAMERA
     lens = _lens(path, data)
+    require_no_fold(lens, size, source=str(path))
     if kind == "stereo":
         calibration = _stereo(path, data, lens, size, mounting)
     else:
@@ -94,7 +100,7 @@ def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: 
             f"{path}: give baseline_m for a pair that is rectified, right for one that is not; one of them"
         )
     if "baseline_m" in data:
-        if lens.distortion.any():
+        if lens.distorts:
             raise DataError(f"{path}: a pair with distortion is not rectified; give right, not baseline_m")
         baseline = _plausible_baseline(path, _positive(path, "baseline_m", data["baseline_m"]))
         camera = StereoCamera(**_intrinsics(lens.K), baseline_m=baseline, T_body_camera=mounting)
@@ -102,6 +108,7 @@ def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: 
     _require_known(path, data["right"], _RIGHT, "right.")
     T_left_right = _rigid(path, data, "right.T_left_right")
     right = _lens(path, data, "right.")
+    require_no_fold(right, size, source=f"{path}: right")
     pair = rectify(lens, right, inverse(T_left_right), size, source=f"{path}: right.T_left_right")
     _plausible_baseline(path, pair.baseline_m)
     turned = mounting @ pose(pair.R_left_new, np.zeros(3))
@@ -134,7 +141,13 @@ def _lens(path: Path, data: dict[str, Any], prefix: str = "") -> Lens:
         _positive(path, f"{prefix}intrinsics", value)
     inner = data["right"] if prefix else data
     distortion = numbers_of(path, data, f"{prefix}distortion", 4, 5) if "distortion" in inner else [0.0] * 4
-    return Lens(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(distortion))
+    kind = inner.get("lens", _LENSES[0])
+    if kind not in _LENSES:
+        raise DataError(f"{path}: {prefix}lens is {kind!r}; {' or '.join(_LENSES)} is needed")
+    equidistant = kind == _LENSES[1]
+    if equidistant and len(distortion) != 4:
+        raise DataError(f"{path}: {prefix}distortion of an equidistant lens has 4 numbers, k1 to k4")
+    return Lens(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(distortion), equidistant)
 
 
 def _rigid(path: Path, data: dict[str, Any], key: str) -> FloatArray:

@@ -19,7 +19,7 @@ from slamcmp.datasets.camera_frames import FrameFiles, RecordedFrames, require_f
 from slamcmp.datasets.folders import find_folder, number_table, require_file, text_rows
 from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
-from slamcmp.datasets.rectification import Lens, Size, rectify, undistort
+from slamcmp.datasets.rectification import Lens, Size, rectify, require_no_fold, undistort
 from slamcmp.datasets.text import whole
 from slamcmp.datasets.trajectories import MAX_GAP_S, nearest_rotations, ordered, poses_at, poses_from
 from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
@@ -113,16 +113,21 @@ class _Camera:
         sheet = require_file(folder / "sensor.yaml", "the camera's calibration")
         listing = require_file(folder / "data.csv", "the time stamps and names of the images")
         data = read_mapping(sheet)
-        for key, wanted in (("camera_model", "pinhole"), ("distortion_model", "radial-tangential")):
-            if value_of(sheet, data, key) != wanted:
-                raise DataError(f"{sheet}: {key} is {data[key]!r}; {wanted} is needed")
+        for key, known in (
+            ("camera_model", ("pinhole",)),
+            ("distortion_model", ("radial-tangential", "equidistant")),
+        ):
+            if value_of(sheet, data, key) not in known:
+                raise DataError(f"{sheet}: {key} is {data[key]!r}; {' or '.join(known)} is needed")
         width, height = numbers_of(sheet, data, "resolution", 2)
         fx, fy, cx, cy = numbers_of(sheet, data, "intrinsics", 4)
         mounting = np.array(numbers_of(sheet, data, "T_BS.data", 16)).reshape(4, 4)
         lens = Lens(
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             np.array(numbers_of(sheet, data, "distortion_coefficients", 4, 5)),
+            data["distortion_model"] == "equidistant",
         )
+        require_no_fold(lens, (int(width), int(height)), source=str(sheet))
         rows = text_rows(listing, 2)
         if not rows:
             raise DataError(f"{listing}: names no image")

@@ -142,7 +142,8 @@ def _camera(calibration: Path, *, stereo: bool) -> MonoCamera | StereoCamera:
     intrinsics = {"fx_px": K[0, 0], "fy_px": K[1, 1], "cx_px": K[0, 2], "cy_px": K[1, 2]}
     if not stereo:
         return MonoCamera(**intrinsics)
-    baseline = -matrices["P1"][0, 3] / matrices["P1"][0, 0]
+    # Both columns are seen from camera 0, which the left one need not be.
+    baseline = (K[0, 3] / K[0, 0]) - matrices["P1"][0, 3] / matrices["P1"][0, 0]
     if not baseline > 0:
         raise DataError(f"{calibration}: P1 gives a baseline of {baseline:g} m; a positive one is needed")
     return StereoCamera(**intrinsics, baseline_m=baseline)

@@ -24,7 +24,9 @@ def read_mapping(path: Path) -> dict[str, Any]:
         text = read_text(path)
         if text.startswith("%YAML"):
             text = "\n" + text.partition("\n")[2]
-        data = YAML(typ="safe").load(text)
+        loader = YAML(typ="safe", pure=True)
+        loader.constructor.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+        data = loader.load(text)
     except YAMLError as error:
         raise DataError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
@@ -62,3 +64,8 @@ def numbers_of(path: Path, data: dict[str, Any], key: str, *counts: int) -> list
         raise DataError(f"{path}: {key} has {flat.size} values; {wanted} finite numbers are needed")
     found: list[float] = flat.tolist()
     return found
+
+
+def _opencv_matrix(constructor: Any, node: Any) -> Any:
+    """``!!opencv-matrix`` is a mapping with ``rows``, ``cols``, ``dt`` and ``data``."""
+    return constructor.construct_mapping(node, deep=True)
