@@ -242,8 +242,14 @@ def test_what_is_wrong_with_a_flight(flight: Path) -> None:
     for old, new, message in (
         (
             "radial-tangential",
-            "equidistant",
-            "distortion_model is 'equidistant'; radial-tangential is needed",
+            "fov",
+            "distortion_model is 'fov'; radial-tangential or equidistant is needed",
+        ),
+        ("radial-tangential", "equidistant", "one lens is equidistant and the other is not"),
+        (
+            "camera_model: pinhole",
+            "camera_model: omni",
+            "camera_model is 'omni'; pinhole is needed",
         ),
         ("[640, 480]", "[752, 480]", r"cam0 has \(640, 480\) pixels and cam1 \(752, 480\)"),
         ("intrinsics", "intrinsic", "has no intrinsics"),
