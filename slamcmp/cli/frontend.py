@@ -25,6 +25,9 @@ def frontend(
     suppression: Annotated[
         str, typer.Option(help="cells (fast), brown (exact radii) or none (only the strongest).")
     ] = "cells",
+    levels: Annotated[
+        int, typer.Option(min=1, max=16, help="Scales that corners are looked for at; 1 is the image alone.")
+    ] = 8,
     method: Annotated[
         str, typer.Option(help="magsac, ransac (written out) or least_squares (which breaks).")
     ] = "magsac",
@@ -37,18 +40,19 @@ def frontend(
 ) -> None:
     """Harris corners, suppression and matches of photographs: three figures and a table of counts."""
     # Slow to import, and not needed for --help.
-    from slamcmp.frontend.vision.image_pair import extract_features, match_features
-    from slamcmp.image_files import image_problem, read_image
+    from slamcmp.frontend.vision.image_pair import match_features
+    from slamcmp.frontend.vision.pyramid import extract_pyramid
+    from slamcmp.image_files import SIDE_MIN_PX, image_problem, read_image
     from slamcmp.report.figures.front_end import draw_front_end, front_end_tables
 
     pictures = [read_image(path) for path in images]
     for path, picture in zip(images, pictures, strict=True):
-        problem = image_problem(picture)
-        if problem:
-            raise DataError(f"{path}: {problem}")
+        # What is black or flat is named in the table; what is too small has no place for a corner.
+        if min(picture.shape) < SIDE_MIN_PX:
+            raise DataError(f"{path}: {image_problem(picture)}")
     names = [path.stem for path in images]
     features = [
-        extract_features(picture, count=count, suppression=suppression)  # type: ignore[arg-type]
+        extract_pyramid(picture, count=count, levels=levels, suppression=suppression)  # type: ignore[arg-type]
         for picture in pictures
     ]
     pairs = [

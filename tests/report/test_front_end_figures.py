@@ -14,6 +14,7 @@ from slamcmp.cli import app
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.frontend.vision.degeneracy import Geometry
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
+from slamcmp.frontend.vision.pyramid import extract_pyramid
 from slamcmp.report.figures.front_end import SAYING, draw_front_end, front_end_tables
 from tests.frontend.photographs import FOLDER, photograph
 
@@ -33,7 +34,7 @@ def test_three_figures_and_a_table_of_counts(tmp_path: Path) -> None:
         picture = cv2.imread(str(tmp_path / "figures" / f"{name}.png"))
         assert picture.shape[0] > 400
         assert picture.shape[1] > 1000
-    pair = match_features(extract_features(photograph(1)), extract_features(photograph(2)), seed=0)
+    pair = match_features(extract_pyramid(photograph(1)), extract_pyramid(photograph(2)), seed=0)
     row = next(line for line in printed.splitlines() if "epipolar" in line)
     counts = ("tried", "not_mutual", "ambiguous", "matches", "rejected", "kept")
     assert row.split()[3:9] == [str(pair.counts[name]) for name in counts]
@@ -76,3 +77,10 @@ def test_errors_name_the_file_or_the_option(tmp_path: Path) -> None:
 
 def test_every_geometry_of_two_views_is_explained() -> None:
     assert SAYING.keys() == set(Geometry)
+
+
+def test_an_image_without_room_for_a_corner_is_refused(tmp_path: Path) -> None:
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), photograph(1)[:30, :44])
+    with pytest.raises(DataError, match=r"small\.png: 44×30 pixels where at least 47 a side are needed"):
+        _run(FOLDER / "BalbianelloMedium-1.jpg", small, "--output", tmp_path / "figures")

@@ -42,6 +42,8 @@ class Features:
     counts: Mapping[str, int]
     """found, at_border, weak (beyond the number of candidates), suppressed, undescribed, features."""
     times_ms: Mapping[str, float]
+    factor: FloatArray | None = None
+    """How many times smaller the image was in which each was found, (m,); None: not at all."""
 
 
 @dataclass(frozen=True)
