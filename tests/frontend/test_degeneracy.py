@@ -128,3 +128,14 @@ def test_the_rotation_between_rays_is_recovered() -> None:
 def test_arrays_that_do_not_pair_up_are_refused() -> None:
     with pytest.raises(UsageError, match="twice"):
         verify_matches(np.zeros((9, 2)), np.zeros((8, 2)), seed=0)
+
+
+@pytest.mark.parametrize("threshold_px", [0.5, 3.0])
+@pytest.mark.parametrize(("share", "collinear"), [(0.45, True), (0.55, False)])
+def test_a_line_is_as_wide_as_half_the_threshold(threshold_px: float, share: float, collinear: bool) -> None:
+    """Points to both sides of a line in turn: their smaller deviation is their distance from it."""
+    x = np.linspace(50, 600, 60)
+    off = share * threshold_px * np.where(np.arange(60) % 4 < 2, 1.0, -1.0)
+    first = np.column_stack([x, 200.0 + off])
+    answer = verify_matches(first, first + np.array([12.0, 3.0]), seed=0, threshold_px=threshold_px)
+    assert (answer.geometry is Geometry.COLLINEAR) == collinear

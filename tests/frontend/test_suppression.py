@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from slamcmp.frontend.vision.harris import harris_corners
-from slamcmp.frontend.vision.suppression import brown_radii, suppress_brown, suppress_cells
+from slamcmp.frontend.vision.suppression import _cell_winners, brown_radii, suppress_brown, suppress_cells
 from tests.frontend.photographs import photograph
 
 
@@ -89,6 +89,31 @@ def test_square_cells_give_the_wanted_number_of_distinct_corners(
     kept = suppress_cells(xy, response, count)
     assert len(set(kept.tolist())) == len(kept) == min(count, total)
     assert (np.diff(response[kept]) <= 0).all()
+
+
+def naive_winners(xy: np.ndarray, width: float) -> list[int]:
+    """The definition: a cell's strongest, but for a stronger one of a neighbouring cell within 0.7 width."""
+    cells = [tuple(cell) for cell in np.floor(xy / width).astype(int)]
+    strongest = {cell: cells.index(cell) for cell in cells}
+    return sorted(
+        own
+        for cell, own in strongest.items()
+        if not any(
+            other < own
+            and max(abs(np.subtract(cell, place))) <= 1
+            and ((xy[own] - xy[other]) ** 2).sum() < (0.7 * width) ** 2
+            for place, other in strongest.items()
+        )
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("width", [4.0, 7.3, 30.0])
+def test_winners_of_cells_equal_the_definition(seed: int, width: float) -> None:
+    xy = np.random.default_rng(seed).uniform(0.0, (90.0, 60.0), (150, 2)).astype(np.float32)
+    x, y = (np.append(axis, np.float32(1e9)) for axis in xy.T)
+    extent = (float(xy[:, 0].max()) + 1.0, float(xy[:, 1].max()) + 1.0)
+    assert sorted(_cell_winners(x, y, extent, width).tolist()) == naive_winners(xy, width)
 
 
 def test_nothing_in_nothing_out() -> None:

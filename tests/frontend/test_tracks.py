@@ -225,3 +225,16 @@ def test_scores_of_a_hand_made_record() -> None:
     assert (scores.matches, scores.correct) == (4, 3)
     assert scores.precision == {"matched": 0.75, "epipolar": 0.75, "passed": pytest.approx(2 / 3)}
     assert scores.recall == {"matched": 1.0, "epipolar": 1.0, "passed": pytest.approx(2 / 3)}
+
+
+def test_distances_of_rows_and_of_none() -> None:
+    tracks = placed_table(np.array([[4.0, 0.5, 0.2], [6.0, -1.0, 0.1], [5.0, 0.0, 0.0]]))
+    rows = np.array([0, 2])
+    expected, S = tracks.predicted(rows, PAIR)
+    off = np.array([[0.5, -0.2, 0.3], [1.0, 0.4, -0.6]])
+    R = np.tile(np.diag([0.25, 0.25, 0.5]), (2, 1, 1))
+    by_hand = [y @ np.linalg.inv(each + r) @ y for y, each, r in zip(off, S, R, strict=True)]
+    np.testing.assert_allclose(tracks.distances(rows, PAIR, expected + off, R), by_hand, rtol=1e-9)
+    nothing = np.empty(0, np.int64), PAIR, np.empty((0, 3)), np.empty((0, 3, 3))
+    assert tracks.distances(*nothing).shape == (0,)
+    assert tracks.correct(*nothing).shape == (0, 3)
