@@ -56,20 +56,23 @@ def test_every_registered_back_end_passes(name: str) -> None:
 
 FAULTS = {
     "covariance in world axes": (
-        ("Estimate(self.T, self.P[:3, :3])", "Estimate(self.T, self.turned())"),
+        ("Estimate(self.T, self.J @ self.P[:3, :3] @ self.J.T)", "Estimate(self.T, self.turned())"),
         (
             "    def estimate(self):",
             "    def turned(self):\n"
             "        B = np.eye(3)\n"
             "        B[:2, :2] = self.T[:2, :2]\n"
-            "        return B @ self.P[:3, :3] @ B.T\n\n"
+            "        return B @ self.J @ self.P[:3, :3] @ self.J.T @ B.T\n\n"
             "    def estimate(self):",
         ),
         "reports P in the body tangent, order (x, y, heading)",
         r"it is in world axes",
     ),
     "heading first": (
-        ("self.P[:3, :3])", "self.P[np.ix_([2, 0, 1], [2, 0, 1])])"),
+        (
+            "self.J @ self.P[:3, :3] @ self.J.T)",
+            "(self.J @ self.P[:3, :3] @ self.J.T)[np.ix_([2, 0, 1], [2, 0, 1])])",
+        ),
         None,
         "reports P in the body tangent, order (x, y, heading)",
         r"its order is \(heading, x, y\)",
@@ -88,33 +91,33 @@ FAULTS = {
     ),
     "unwrapped bearing": (
         (
-            "self.sensor.residual(z, self.sensor.predict(self.T, self.map[j]))",
-            "(z - self.sensor.predict(self.T, self.map[j]))",
+            "self.sensor.residual(frame.z, z)",
+            "(frame.z - z)",
         ),
         None,
         "uses its observations",
         r"not wrapped",
     ),
     "noise as standard deviation": (
-        ("H @ self.P @ H.T + R", "H @ self.P @ H.T + R @ R"),
+        ("block_diag(*frame.R)", "block_diag(*(frame.R @ frame.R))"),
         None,
         "reports a covariance that fits its errors",
         r"overconfident",
     ),
     "mean is never corrected": (
-        ("retract(self.T, dx[:3])", "self.T"),
+        ("self.T, self.J = retract_in_world_axes(self.T, dx[:3])", "self.J = np.eye(3)"),
         None,
         "uses its observations",
         r"dead reckoning's",
     ),
     "one observation used twice": (
-        ("zip(frame.ids, frame.z, frame.R)", "[*zip(frame.ids, frame.z, frame.R)] * 6"),
+        ("block_diag(*frame.R)", "block_diag(*frame.R) / 2"),
         None,
         "reports a covariance that fits its errors",
         r"overconfident",
     ),
     "lost symmetry": (
-        ("self.P = self.P - K @ S @ K.T", "self.P = self.P - np.triu(K @ S @ K.T)"),
+        ("self.P - K @ S @ K.T", "self.P - np.triu(K @ S @ K.T)"),
         None,
         "keeps P symmetric and positive definite",
         r"not symmetric",
@@ -122,11 +125,17 @@ FAULTS = {
     "wrong sign in the update": (
         ("self.P - K @ S @ K.T", "self.P + K @ S @ K.T"),
         None,
+        "uses its observations",
+        r"dead reckoning's",
+    ),
+    "more taken than there is": (
+        ("self.P - K @ S @ K.T", "self.P - K @ S @ K.T - 1e-4 * np.eye(len(self.P))"),
+        None,
         "keeps P symmetric and positive definite",
         r"smallest eigenvalue",
     ),
     "observation noise forgotten": (
-        ("S = H @ self.P @ H.T + R", "S = H @ self.P @ H.T"),
+        ("S = H @ self.P @ H.T + block_diag(*frame.R)", "S = H @ self.P @ H.T"),
         None,
         "answers with an Estimate of finite numbers after every frame",
         r"inverse of a singular S",
@@ -138,7 +147,7 @@ FAULTS = {
         r"unseeded random numbers",
     ),
     "state kept on the class": (
-        ("self.ids, self.map = [], np.empty((0, 2))", "self.map = np.empty((0, 2))"),
+        ("self.ids, self.map, self.J = [], np.empty((0, 2))", "self.map, self.J = np.empty((0, 2))"),
         ("    def __init__", "    ids = []\n\n    def __init__"),
         "answers with an Estimate of finite numbers after every frame",
         r"my_backend\.py, line \d+",
@@ -150,24 +159,127 @@ FAULTS = {
         r"a second estimate\(\) differs",
     ),
     "returns a tuple": (
-        ("Estimate(self.T, self.P[:3, :3])", "(self.T, self.P[:3, :3])"),
+        ("Estimate(self.T, self.J @ self.P[:3, :3] @ self.J.T)", "(self.T, self.P[:3, :3])"),
         None,
         "answers with an Estimate of finite numbers after every frame",
         r"return slamcmp.types.Estimate",
     ),
     "writes into the frame": (
-        ("        for landmark, z, R in", "        frame.z[:, 1] += 0.0\n        for landmark, z, R in"),
+        ("        new = ~np", "        frame.z[:, 1] += 0.0\n        new = ~np"),
         None,
         "is constructed as Name(problem, **parameters)",
         r"copy an array before writing",
     ),
     "pessimistic": (
         ("self.P[:3, :3] += frame.Q", "self.P[:3, :3] += 50 * frame.Q"),
-        ("H @ self.P @ H.T + R", "H @ self.P @ H.T + 50 * R"),
+        ("H @ self.P @ H.T + block_diag(*frame.R)", "H @ self.P @ H.T + 50 * block_diag(*frame.R)"),
         "reports a covariance that fits its errors",
         r"pessimistic",
     ),
 }
+
+
+SUBTLE = {
+    "new landmarks without their correlation to the pose": (
+        "self.P = block_diag(self.P, 1e4 * np.eye(2 * new.sum()))",
+        "G = self.sensor.jacobians(self.T, self.map[len(self.map) - new.sum() :])[1]\n"
+        "        own = [np.linalg.inv(g) @ r @ np.linalg.inv(g).T for g, r in zip(G, frame.R[new])]\n"
+        "        self.P = block_diag(self.P, *own)",
+    ),
+    "noise of range and bearing as metres": (
+        "block_diag(*frame.R)",
+        "block_diag(*(H_j @ r @ H_j.T for H_j, r in zip(H_land, frame.R)))",
+    ),
+    "half the measurement noise": ("block_diag(*frame.R)", "0.5 * block_diag(*frame.R)"),
+    "a third of the odometry's noise": ("+= frame.Q", "+= frame.Q / 3"),
+    "twice the measurement noise": ("block_diag(*frame.R)", "2.0 * block_diag(*frame.R)"),
+    "cross-covariance cut down": (
+        "self.P - K @ S @ K.T",
+        "self.P - K @ S @ K.T\n        self.P[:3, 3:] *= 0.9\n        self.P[3:, :3] *= 0.9",
+    ),
+    "Jacobians of three frames before": (
+        "z, H[:, :, :3], H_land = self.sensor.linearise(self.T, self.map[seen])",
+        "z, _, _ = self.sensor.linearise(self.T, self.map[seen])\n"
+        "        before = self.T @ np.linalg.matrix_power(np.linalg.inv(frame.T_prev_body), 3)\n"
+        "        _, H[:, :, :3], H_land = self.sensor.linearise(before, self.map[seen])",
+    ),
+}
+"""Faults that leave a filter running, and its answers near the truth."""
+
+
+@pytest.mark.parametrize("fault", SUBTLE)
+def test_a_covariance_outside_the_printed_band_is_a_fault(tmp_path: Path, fault: str) -> None:
+    findings = findings_of(tmp_path, SUBTLE[fault])
+    assert [finding for finding in findings.values() if not finding.passed] != []
+
+
+NO_POSES = {
+    "not a rotation": (
+        "Estimate(self.T,",
+        "Estimate(self.T * 1.001,",
+        "keeps T_world_body a rigid",
+        "off the identity",
+    ),
+    "a reflection": (
+        "Estimate(self.T,",
+        "Estimate(self.T @ np.diag([1.0, -1.0, 1.0]),",
+        "keeps T_world_body a rigid",
+        "det R is -1",
+    ),
+    "not finite": ("Estimate(self.T,", "Estimate(self.T * np.nan,", "answers with an Estimate", "not finite"),
+    "of space": (
+        "Estimate(self.T, ",
+        "Estimate(np.eye(4), np.eye(6)); (",
+        "answers with an Estimate",
+        r"\(4, 4\) where",
+    ),
+    "a vector": ("Estimate(self.T,", "Estimate(self.T[:2, 2],", "answers with an Estimate", "T_world_body"),
+    "the whole P": (
+        "self.J @ self.P[:3, :3] @ self.J.T",
+        "self.P",
+        "answers with an Estimate",
+        r"Estimate\.P",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", NO_POSES)
+def test_what_is_no_pose_is_refused(tmp_path: Path, fault: str) -> None:
+    old, new, check, message = NO_POSES[fault]
+    (finding,) = (each for name, each in findings_of(tmp_path, (old, new)).items() if name.startswith(check))
+    assert not finding.passed
+    assert re.search(message, finding.message), finding.message
+
+
+@pytest.mark.parametrize(
+    ("method", "check"),
+    [
+        (
+            "def landmarks(self):\n"
+            "        told = super().landmarks()\n"
+            "        return Landmarks(told.ids, told.positions, 0.4 * told.covariances)",
+            "reports landmark covariances that fit their errors",
+        ),
+        (
+            "def joint_covariance(self):\n"
+            "        P = super().joint_covariance()\n"
+            "        own = np.kron(np.eye(len(P)), np.ones((1, 1))) * P\n"
+            "        return 0.8 * P + 0.2 * own",
+            "reports a joint covariance that fits pose and map together",
+        ),
+    ],
+)
+def test_map_and_joint_covariances_are_held_to_their_errors(tmp_path: Path, method: str, check: str) -> None:
+    """The pose's part is right in both."""
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import numpy as np\nfrom slamcmp.backends.filters.ekf_slam import EkfSlam\n"
+        f"from slamcmp.types import Landmarks\n\n\nclass Mine(EkfSlam):\n    {method}\n",
+        encoding="utf-8",
+    )
+    failed = {finding.check for finding in check_back_end(f"{path}:Mine") if not finding.passed}
+    assert check in failed
+    assert "reports a covariance that fits its errors" not in failed
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -94,8 +94,12 @@ def _open(plugin: Plugin, parameters: Mapping[str, Any]) -> tuple[Bench | None, 
 
 
 def _describe(error: Exception) -> str:
-    place = traceback.extract_tb(error.__traceback__)[-1]
+    places = traceback.extract_tb(error.__traceback__)
+    # A library's own line tells less than the one that called it.
+    place = next((each for each in reversed(places) if "site-packages" not in each.filename), places[-1])
     text = f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+    if isinstance(error, np.linalg.LinAlgError):
+        text += "; look for the inverse of a singular S: H P H^T + R is not, where R is in it"
     if "read-only" in str(error):
         text += "; frames are shared by all back ends and may not be changed: copy an array before writing"
     return text
