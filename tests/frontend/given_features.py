@@ -98,6 +98,8 @@ class Following:
     def see(self, view: View | None, step: np.ndarray | None = None, Q: np.ndarray = SURE) -> Sighting:
         """The next image after a step as odometry tells it; None is an image that cannot be used."""
         self._now = view
+        # No two images of a camera are the same.
+        self._image = self._image + np.uint8(1)
         frame = CameraFrame(None) if view is None else CameraFrame(self._image, self._image)
         return self.tracker.step(frame, np.eye(4) if step is None else step, Q)
 

@@ -140,3 +140,9 @@ def test_skipped_frames_are_told_with_their_reason_and_number() -> None:
     nothing = followed(lambda images, k: CameraFrame(None, problem="the file is missing")).report.warnings
     assert "8 of 8 frames" in nothing[0]
     assert "not one image could be used" in nothing[1]
+
+
+def test_a_pair_without_any_match_is_no_reason_to_stop() -> None:
+    rng = np.random.default_rng(0)
+    stream = followed(with_right(lambda image: rng.integers(0, 256, image.shape, dtype=np.uint8)))
+    assert all(frame.ids.size < 10 for frame in stream.frames)

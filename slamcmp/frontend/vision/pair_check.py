@@ -162,7 +162,7 @@ def _gains(
     for image, xy in ((left, at_left), (right, at_right)):
         column, row = np.rint(xy).astype(np.int64).T
         windows = np.lib.stride_tricks.sliding_window_view(image, (11, 11))
-        patches.append(windows[row - 5, column - 5].reshape(len(xy), -1).std(axis=1))
+        patches.append(windows[row - 5, column - 5].reshape(len(xy), 121).std(axis=1))
     with np.errstate(divide="ignore", invalid="ignore"):
         gains = patches[1] / patches[0]
     return [float(gain) for gain in gains if np.isfinite(gain)]
