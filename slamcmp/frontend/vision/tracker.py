@@ -239,7 +239,11 @@ class FeatureTracker:
 
     def _frozen(self, frame: CameraFrame) -> str:
         """Whether a camera delivers its last image again while the robot drives on."""
-        if self._last_image is None or not np.array_equal(frame.image, self._last_image):  # type: ignore[arg-type]
+        before, now = self._last_image, frame.image
+        # A few rows tell nearly all pairs apart.
+        if before is None or now is None or not np.array_equal(before[::64], now[::64]):
+            return ""
+        if not np.array_equal(before, now):
             return ""
         T, Q = self._since_image
         moved = local(np.eye(4), T)
