@@ -11,10 +11,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
+from slamcmp.geometry import local
 from slamcmp.models.camera import Camera
 from slamcmp.types import FloatArray
 
+_STANDING = 1e-4
+"""Probability that odometry's noise alone moves so far."""
 _REACH = 0.15
 """Of the image's side: larger shifts are not looked for."""
 _DELAY_MAX = 8
@@ -25,6 +29,19 @@ _FITS, _FITS_NOT = 0.7, 0.4
 """Correlations of what was seen with what was expected."""
 _BETTER_BY, _REST = 0.08, 1.8
 """By how much a delay must fit better, and how much larger what remains unexplained must be without it."""
+
+
+def frozen(
+    before: NDArray[np.uint8] | None, now: NDArray[np.uint8] | None, T: FloatArray, Q: FloatArray
+) -> str:
+    """Why an image is none: the last one again, while the robot drove by T with covariance Q; else empty."""
+    # A few rows tell nearly all pairs apart.
+    if before is None or now is None or not np.array_equal(before[::64], now[::64]):
+        return ""
+    moved = local(np.eye(4), T)
+    if not np.array_equal(before, now) or moved @ np.linalg.pinv(Q) @ moved <= chdtri(6, _STANDING):
+        return ""
+    return "the same image as before, while the odometry moved: the camera is frozen"
 
 
 class MotionCheck:

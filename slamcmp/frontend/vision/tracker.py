@@ -20,6 +20,7 @@ from slamcmp.frontend.vision.error_correlation import SETTLED, ErrorCorrelation
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.matching import match_descriptors
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
+from slamcmp.frontend.vision.motion_check import frozen
 from slamcmp.frontend.vision.pair_check import PairCheck
 from slamcmp.frontend.vision.placing import place_rays
 from slamcmp.frontend.vision.search_windows import Windows, search_windows
@@ -27,7 +28,6 @@ from slamcmp.frontend.vision.suppression import suppress_cells
 from slamcmp.frontend.vision.track_table import TrackTable
 from slamcmp.frontend.vision.triangulation import PoseHistory
 from slamcmp.frontend.vision.wrong_matches import MatchRecord, spoil_matches
-from slamcmp.geometry import local
 from slamcmp.image_files import GrayImage, image_problem
 from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.models.motion import compose_increments
@@ -51,8 +51,6 @@ _LONG_AGO = 10
 _SURE_BITS = 32
 """Largest descriptor distance, of 256, of such a match. From one image to the next nine in ten of the right
 ones are below 45; of those found again after a lap by less alike descriptors, one in four was wrong."""
-_STANDING = 1e-4
-"""Probability that odometry's noise alone moves so far."""
 _MATCHES_MIN = 12
 """Fewer do not hold a pose well: the common motion is not asked, and new points count without waiting."""
 
@@ -151,7 +149,7 @@ class FeatureTracker:
         self._gap += 1
         tracks.move(T_prev_body, Q)
         self._since_image = compose_increments(self._since_image, (T_prev_body, Q))
-        problem = self._problem(frame) or self._frozen(frame)
+        problem = self._problem(frame) or frozen(self._last_image, frame.image, *self._since_image)
         if problem:
             tracks.keep(tracks.age <= self._settings.memory)
             return self._nothing(problem)
@@ -236,20 +234,6 @@ class FeatureTracker:
             if frame.depth_m.shape != frame.image.shape:
                 return "depth image of another size"
         return ""
-
-    def _frozen(self, frame: CameraFrame) -> str:
-        """Whether a camera delivers its last image again while the robot drives on."""
-        before, now = self._last_image, frame.image
-        # A few rows tell nearly all pairs apart.
-        if before is None or now is None or not np.array_equal(before[::64], now[::64]):
-            return ""
-        if not np.array_equal(before, now):
-            return ""
-        T, Q = self._since_image
-        moved = local(np.eye(4), T)
-        if moved @ np.linalg.pinv(Q) @ moved <= chdtri(6, _STANDING):
-            return ""
-        return "the same image as before, while the odometry moved: the camera is frozen"
 
     def _nothing(self, event: str) -> Sighting:
         nobody, d = np.zeros(0, dtype=bool), self.sensor.dim
