@@ -37,7 +37,12 @@ if TYPE_CHECKING:
         Trajectory,
     )
 
+from slamcmp.loaded_code import record_loads
+
 __version__ = "0.1.0"
+
+# First of all: what is imported from here on is known by its text.
+record_loads()
 
 _HOMES = {
     "slamcmp.api.back_ends": ("Findings", "check", "run_back_end", "score"),

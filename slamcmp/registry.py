@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import hashlib
+import functools
 import importlib
-import importlib.util
 import inspect
 import pkgutil
-import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -22,6 +20,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slamcmp.errors import UsageError
+from slamcmp.loaded_code import USER, load_user_file
 
 Target = TypeVar("Target", bound=Callable[..., Any])
 
@@ -52,12 +51,17 @@ class Registry:
         self.kind = kind
         self._packages = packages
         self._plugins: dict[str, Plugin] = {}
+        self._of_users: dict[int, Plugin] = {}
+        """What users' files register, by the identity of the target: they are found by their file."""
         self._loaded = False
 
     def register(self, name: str, **traits: Any) -> Callable[[Target], Target]:
         """Decorator that adds a class or function under ``name``; parameters are its keyword-only ones."""
 
         def add(target: Target) -> Target:
+            if getattr(target, "__module__", "").startswith(USER):
+                self._of_users[id(target)] = Plugin(name, target, traits)
+                return target
             known = self._plugins.get(name)
             if known is not None and (known.target.__module__ != target.__module__):
                 raise ValueError(
@@ -88,13 +92,22 @@ class Registry:
             UsageError: no such plug-in; the message lists near matches and all names.
         """
         if ".py:" in name:
-            return load_user_plugin(name, self.kind)
+            return load_user_plugin(name, self)
         if name in _in_session:
             return _in_session[name]
         self._load()
         if name not in self._plugins:
             raise UsageError(f"unknown {self.kind} {name!r}{did_you_mean(name, self._plugins)}")
         return self._plugins[name]
+
+    def traits_of(self, target: Callable[..., Any]) -> Mapping[str, Any]:
+        """What a user's file registered its class or function with, whatever was put around it."""
+        seen: Any = target
+        while seen is not None:
+            if id(seen) in self._of_users:
+                return self._of_users[id(seen)].traits
+            seen = seen.func if isinstance(seen, functools.partial) else getattr(seen, "__wrapped__", None)
+        return {}
 
     def _load(self) -> None:
         if self._loaded:
@@ -140,40 +153,34 @@ def did_you_mean(name: str, known: Any) -> str:
     return f"{hint} Known: {', '.join(names)}" if hint else f"; known: {', '.join(names)}"
 
 
-def load_user_plugin(spec: str, kind: str = "back end") -> Plugin:
-    """Import ``path/file.py:Name`` from the user's own file.
+def load_user_plugin(spec: str, registry: Registry) -> Plugin:
+    """Import ``path/file.py:Name`` from the user's own file, with the traits that it registers, if it does.
 
-    The file's directory goes onto ``sys.path`` so that the file can import its neighbours. A file that has
-    changed is imported anew, as a notebook's reader expects.
+    A file that has changed is imported anew, as a notebook's reader expects, and so are the neighbours that
+    it imports.
 
     Raises:
         UsageError: no such file, the file does not import, or it has no such name.
     """
+    kind = registry.kind
     path_text, _, attribute = spec.rpartition(":")
-    path = Path(path_text).expanduser().resolve()
-    if not path.is_file():
+    try:
+        path = Path(path_text).expanduser().resolve()
+        is_file = path.is_file()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise UsageError(f"{kind} {spec!r}: {error}") from error
+    if not is_file:
         raise UsageError(f"{kind} {spec!r}: there is no file {path}")
-    identity = hashlib.sha256(str(path).encode() + b"\0" + path.read_bytes()).hexdigest()
-    module_name = f"slamcmp_user_{path.stem}_{identity[:12]}"
-    module = sys.modules.get(module_name)
-    if module is None:
-        module_spec = importlib.util.spec_from_file_location(module_name, path)
-        if module_spec is None or module_spec.loader is None:
-            raise UsageError(f"{kind} {spec!r}: {path} is not a Python file")
-        module = importlib.util.module_from_spec(module_spec)
-        if str(path.parent) not in sys.path:
-            sys.path.insert(0, str(path.parent))
-        sys.modules[module_name] = module
-        try:
-            module_spec.loader.exec_module(module)
-        except (Exception, SystemExit) as error:
-            sys.modules.pop(module_name, None)
-            raise UsageError(f"{kind} {spec!r}: {path} does not import: {_told(error, path)}") from error
+    try:
+        module = load_user_file(path)
+    except (Exception, SystemExit) as error:
+        raise UsageError(f"{kind} {spec!r}: {path} does not import: {_told(error, path)}") from error
     target = getattr(module, attribute, None)
     if not callable(target):
         classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
         raise UsageError(f"{kind} {spec!r}: {path} has no {attribute!r}{did_you_mean(attribute, classes)}")
-    return Plugin(f"{path.name}:{attribute}", target, {"user_file": path})
+    traits = {**registry.traits_of(target), "user_file": path}
+    return Plugin(f"{path.name}:{attribute}", target, traits)
 
 
 def _told(error: BaseException, path: Path) -> str:

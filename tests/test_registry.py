@@ -10,21 +10,21 @@ import pytest
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.content_key import run_key
-from slamcmp.registry import Registry, load_user_plugin
+from slamcmp.registry import Registry, back_ends
 
 CLASS = "class Mine:\n    def __init__(self, problem, *, gate={gate}): ...\n"
 
 
 def default_gate(path: Path) -> int:
-    return load_user_plugin(f"{path}:Mine").parameters()["gate"].default
+    return back_ends.get(f"{path}:Mine").parameters()["gate"].default
 
 
 def test_changed_file_is_imported_anew(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text(CLASS.format(gate=9))
     assert default_gate(path) == 9
-    before = load_user_plugin(f"{path}:Mine").target
-    assert load_user_plugin(f"{path}:Mine").target is before
+    before = back_ends.get(f"{path}:Mine").target
+    assert back_ends.get(f"{path}:Mine").target is before
     path.write_text(CLASS.format(gate=16))
     assert default_gate(path) == 16
 
@@ -46,7 +46,7 @@ def test_file_that_does_not_import_is_a_usage_error(tmp_path: Path, content: str
     path.write_text(content)
     for _ in range(2):
         with pytest.raises(UsageError, match=rf"mine\.py does not import: .*{told}$"):
-            load_user_plugin(f"{path}:Mine")
+            back_ends.get(f"{path}:Mine")
 
 
 def test_annotation_that_cannot_be_evaluated_is_a_usage_error(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_annotation_that_cannot_be_evaluated_is_a_usage_error(tmp_path: Path) ->
         "class Mine:\n    def __init__(self, problem, *, gate: np.nosuch = 1): ...\n"
     )
     with pytest.raises(UsageError, match=r"mine\.py:Mine: its parameters cannot be read: AttributeError"):
-        parameter_model(load_user_plugin(f"{path}:Mine"))
+        parameter_model(back_ends.get(f"{path}:Mine"))
 
 
 @pytest.mark.parametrize(

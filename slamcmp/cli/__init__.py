@@ -15,6 +15,7 @@ import typer
 import slamcmp
 from slamcmp.cli import check, frontend, grade, grade_all, results, run, seeds, show, stream
 from slamcmp.errors import SlamcmpError
+from slamcmp.support.messages import told
 
 app = typer.Typer(
     name="slamcmp",
@@ -58,5 +59,5 @@ def main() -> None:
     except SlamcmpError as error:
         if _debug:
             raise
-        print(f"slamcmp: {error}", file=sys.stderr)
+        print(told(f"slamcmp: {error}"), file=sys.stderr)
         sys.exit(error.exit_code)

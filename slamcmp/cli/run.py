@@ -46,7 +46,7 @@ def run(
     With published numbers in the file they stand beside the measured ones, with a verdict. The exit code is 1
     where a run failed, whatever the verdict is.
     """
-    from slamcmp.experiment.executors import warm_up
+    from slamcmp.experiment.fork_server import warm_up
 
     if executor == "processes" and not dry_run:
         # It loads its modules while this process loads its own.

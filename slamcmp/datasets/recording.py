@@ -116,7 +116,7 @@ def image_source(
             return _log(*split(parameters), random_streams(seed).odometry)
 
         register = sources.register(
-            name, seeded=seeded, files=files, paths=tuple(paths), parameter_docs=setting_docs
+            name, seeded=seeded, images=True, files=files, paths=tuple(paths), parameter_docs=setting_docs
         )
         return register(shared.signed(source))
 

@@ -12,29 +12,82 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from slamcmp.errors import MissingDataError
+from slamcmp.errors import MissingDataError, SlamcmpError, UsageError
 from slamcmp.experiment.config.component import Component
 from slamcmp.registry import SESSION, Plugin
-from slamcmp.support.code_version import PACKAGE, code_version, file_digest, other_libraries, versions
+from slamcmp.support.code_version import (
+    PACKAGE,
+    code_digests,
+    file_digest,
+    other_libraries,
+    stamp,
+    version_of,
+    versions,
+)
+from slamcmp.support.messages import describe
 from slamcmp.support.plugin_models import bind_parameters
 
 KEY_LENGTH = 24
 
 
-def stream_key(source: Component, front_end: Component, seed: int | None) -> str:
+class Snapshot:
+    """Code and data as one planning sees them: each file is read once, whatever happens to it meanwhile."""
+
+    def __init__(self) -> None:
+        self._code: dict[frozenset[Path], Mapping[str, str]] = {}
+        self._named: dict[frozenset[Path], Mapping[str, Any]] = {}
+        self._data: dict[str, DataFiles] = {}
+
+    def named(self, files: Iterable[Path]) -> Mapping[str, Any]:
+        """The fields of a key that stand for code."""
+        asked = frozenset(files)
+        if asked not in self._named:
+            known = {**versions(), **other_libraries(asked)}
+            self._named[asked] = {"code": version_of(self.code(asked)), "versions": known}
+        return self._named[asked]
+
+    def code(self, files: Iterable[Path]) -> Mapping[str, str]:
+        """sha256 of the text of ``files`` and of all that they import, by path."""
+        asked = frozenset(files)
+        if asked not in self._code:
+            self._code[asked] = code_digests(asked)
+        return self._code[asked]
+
+    def data(self, source: Component) -> DataFiles:
+        """The data files that a source says it reads."""
+        asked = json.dumps([source.spec, source.arguments()], sort_keys=True, default=str)
+        if asked not in self._data:
+            self._data[asked] = data_files(source)
+        return self._data[asked]
+
+
+@dataclass(frozen=True)
+class DataFiles:
+    """The data files that a source says it reads."""
+
+    digests: Mapping[str, str]
+    """sha256 by file name, or by path where names are alike."""
+    stamps: Mapping[str, tuple[int, ...]]
+    """What each looked like when it was hashed, by absolute path."""
+
+
+def stream_key(
+    source: Component, front_end: Component, seed: int | None, snapshot: Snapshot | None = None
+) -> str:
     """Of the stream that a source and a front end make from a seed."""
+    snapshot = snapshot or Snapshot()
     return _hash(
         {
             "source": [source.name, dict(source.parameters)],
             "front_end": [front_end.name, dict(front_end.parameters)],
             "seed": seed,
-            "data": data_digests(source),
-            "code": code_version(stream_code(source, front_end)),
-            "versions": {**versions(), **other_libraries(stream_code(source, front_end))},
+            "data": snapshot.data(source).digests,
+            **snapshot.named(stream_code(source, front_end)),
         }
     )
 
@@ -45,6 +98,7 @@ def run_key(
     time_limit_s: float,
     memory_limit_mb: float | None,
     recording: Mapping[str, Any] | None = None,
+    snapshot: Snapshot | None = None,
 ) -> str:
     """Of a back end's run, with its scores, on the stream of that key."""
     key = _hash(
@@ -53,8 +107,7 @@ def run_key(
             "back_end": [back_end.name, dict(back_end.parameters), back_end.own_gate],
             "limits": [time_limit_s, memory_limit_mb],
             "recording": recording,
-            "code": code_version(run_code(back_end)),
-            "versions": {**versions(), **other_libraries(run_code(back_end))},
+            **(snapshot or Snapshot()).named(run_code(back_end)),
         }
     )
     session = back_end.plugin().traits.get(SESSION)
@@ -74,35 +127,57 @@ def run_code(back_end: Component) -> set[Path]:
     return plugin_files(back_end.plugin()) | _package("models") | _package("metrics") | {worker}
 
 
-def data_digests(source: Component) -> dict[str, str]:
-    """sha256 of each data file the source says it reads, by file name, or by path where names are alike.
+def data_files(source: Component) -> DataFiles:
+    """What a source says it reads, and the files' content.
 
     Raises:
         MissingDataError: one of them is not there.
+        UsageError: a user's own list of files cannot be made.
     """
     plugin = source.plugin()
-    files = plugin.traits.get("files")
-    if files is None:
-        return {}
-    try:
-        paths = [Path(path) for path in files(**bind_parameters(plugin, source.arguments()))]
-    except MissingDataError as error:
-        if source.folder is None or not plugin.traits.get("paths"):
-            raise
-        folder = source.folder.resolve()
-        raise MissingDataError(f"{error}; looked beside the experiment file first, in {folder}") from error
+    paths = _declared(source, plugin)
     names = [path.name for path in paths]
     if len(set(names)) < len(names):
         # The left and the right image of an instant are often called alike.
         absolute = [path.absolute() for path in paths]
         root = os.path.commonpath([path.parent for path in absolute])
         names = [path.relative_to(root).as_posix() for path in absolute]
-    digests = {}
+    digests: dict[str, str] = {}
+    stamps: dict[str, tuple[int, ...]] = {}
     for name, path in zip(names, paths, strict=True):
         if not path.is_file():
             raise MissingDataError(f"source {source.name!r}: there is no data file {path}")
+        # The stamp first: what changes while it is hashed is noticed later.
+        stamps[str(path.absolute())] = stamp(path)
         digests[name] = file_digest(path)
-    return digests
+    return DataFiles(digests, stamps)
+
+
+def _declared(source: Component, plugin: Plugin) -> list[Path]:
+    files = plugin.traits.get("files")
+    if files is None:
+        return []
+    own = plugin.traits.get("user_file")
+    try:
+        named = files(**bind_parameters(plugin, source.arguments())) if callable(files) else files
+        paths = [Path(each) for each in ([named] if isinstance(named, str | Path) else named)]
+    except MissingDataError as error:
+        if source.folder is None or not plugin.traits.get("paths"):
+            raise
+        folder = source.folder.resolve()
+        raise MissingDataError(f"{error}; looked beside the experiment file first, in {folder}") from error
+    except SlamcmpError:
+        raise
+    except Exception as error:
+        if own is None:
+            raise
+        raise UsageError(
+            f"source {source.name!r}: its 'files' cannot be listed: {describe(error)}"
+        ) from error
+    if own is not None:
+        # Beside the file that names them, as its own code mostly finds them, unless they are only here.
+        paths = [beside if (beside := own.parent / path).exists() else path for path in paths]
+    return paths
 
 
 def plugin_files(plugin: Plugin) -> set[Path]:

@@ -6,38 +6,43 @@ A worker that crashes, hangs or is killed takes its own job with it and nothing 
 from __future__ import annotations
 
 import contextlib
-import faulthandler
 import multiprocessing
 import os
+import shutil
 import signal
-import sys
-import threading
+import tempfile
 import time
 import traceback
-from collections.abc import Iterator, MutableSequence
 from dataclasses import dataclass
 from multiprocessing import connection
-from types import ModuleType
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import SlamcmpError, StorageError
+from slamcmp.experiment.fork_server import no_main_module, refresh, warm_up
+from slamcmp.experiment.job.process import LOST_STREAM, OUTDATED, STORAGE_FAILED, work
+from slamcmp.experiment.job.task import BEATS
 from slamcmp.registry import executors
+from slamcmp.support.log_file import trim
+from slamcmp.support.messages import describe
+from slamcmp.support.process_tree import end_group, end_tree, is_alive
+from slamcmp.support.shared_arrays import SharedArrays
+from slamcmp.types import Status
 
 if TYPE_CHECKING:
     from slamcmp.experiment.job.task import Task
 
-THREAD_VARIABLES = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
 GRACE_S = 2.0
 """Past its time limit a back end may finish the frame it is in; then the parent ends it."""
-STORAGE_FAILED = 74
-"""Exit code of a worker that could not write (EX_IOERR)."""
+LOADING_S = 120.0
+"""A job may take that long, beside its limit, to read its stream and load its plug-in."""
+OWN_FAULTS = frozenset(
+    getattr(signal, name)
+    for name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSYS", "SIGTRAP")
+    if hasattr(signal, name)
+)
+"""Signals that a process brings upon itself; any other comes from outside."""
+TEMPORARY = "slamcmp-"
 
 
 @dataclass(frozen=True)
@@ -47,11 +52,16 @@ class Ended:
     task: Task
     fault: str = ""
     """Why there is no result file; empty where there is one."""
-    timed_out: bool = False
+    status: Status = "crashed"
+    """Of a job with a fault; ``missing`` where it has to be run again, whatever its back end does."""
+    outdated: bool = False
+    """The worker had loaded or read something else than what was planned."""
     storage_failed: bool = False
     frames_done: int = 0
     note: str = ""
     """What happened after the result file was written."""
+    shared: SharedArrays | None = None
+    """What a run had done; to be closed by who gets this."""
 
 
 class Executor(Protocol):
@@ -80,9 +90,14 @@ class Processes:
     def __init__(self, *, slots: int = 1) -> None:
         self.slots = slots
         self._running: list[_Worker] = []
+        self._started = 0
+        self._temporary: Path | None = None
+        refresh()
 
     def start(self, task: Task) -> None:
-        self._running.append(_Worker(task))
+        warm_up()
+        self._started += 1
+        self._running.append(_Worker(task, self._temporary_folder() / str(self._started)))
 
     def wait(self, timeout_s: float) -> list[Ended]:
         connection.wait([worker.process.sentinel for worker in self._running], timeout_s)
@@ -95,10 +110,21 @@ class Processes:
 
     def close(self) -> None:
         for worker in self._running:
-            worker.process.kill()
-        for worker in self._running:
-            worker.process.join()
+            worker.end()
         self._running = []
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+            self._temporary = None
+
+    def _temporary_folder(self) -> Path:
+        """Of all workers; each has its own in it, which goes with it."""
+        if self._temporary is None or not self._temporary.is_dir():
+            _remove_left_behind()
+            try:
+                self._temporary = Path(tempfile.mkdtemp(prefix=f"{TEMPORARY}{os.getpid()}-"))
+            except OSError as error:
+                raise StorageError(f"no temporary folder can be made: {error}") from error
+        return self._temporary
 
 
 @executors.register("serial", in_process=True)
@@ -114,19 +140,25 @@ class Serial:
         self._ended: list[Ended] = []
 
     def start(self, task: Task) -> None:
-        from slamcmp.experiment.job.worker import perform
-        from slamcmp.support.messages import describe
+        from slamcmp.experiment.job.planned import OutdatedError
+        from slamcmp.experiment.job.worker import LostStreamError, perform
 
-        heartbeat = [0.0, 0.0, 0.0]
+        heartbeat = [0.0] * BEATS
         fault = ""
+        status: Status = "crashed"
+        outdated = False
         try:
             perform(task, heartbeat)
+        except OutdatedError:
+            fault, status, outdated = "its code or data changed", "missing", True
+        except LostStreamError as error:
+            fault, status = str(error), "missing"
         except (SlamcmpError, OSError):
             raise
         except Exception as error:
             traceback.print_exc()
             fault = describe(error)
-        self._ended.append(Ended(task, fault, frames_done=int(heartbeat[1])))
+        self._ended.append(Ended(task, fault, status, outdated, frames_done=int(heartbeat[1])))
 
     def wait(self, timeout_s: float) -> list[Ended]:
         del timeout_s
@@ -140,58 +172,115 @@ class Serial:
         self._ended = []
 
 
-def warm_up() -> None:
-    """Start the server that workers are forked from; it loads while this process does other things."""
-    from multiprocessing import forkserver
-
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["slamcmp.experiment.job.preload"])
-    with _one_thread_each(), _no_main_module():
-        forkserver.ensure_running()
-
-
 class _Worker:
     """The parent's view of one worker process."""
 
-    def __init__(self, task: Task) -> None:
-        warm_up()
+    def __init__(self, task: Task, temporary: Path) -> None:
         context = multiprocessing.get_context("forkserver")
         self.task = task
-        self.heartbeat: Any = context.RawArray("d", 3)
-        self.process = context.Process(target=_work, args=(task, self.heartbeat), daemon=True)
+        self.heartbeat: Any = context.RawArray("d", BEATS)
+        self._shared = SharedArrays() if task.kind == "run" else None
+        self._temporary = temporary
+        self._result_seen: float | None = None
+        self.process = context.Process(
+            target=work, args=(task, self.heartbeat, self._shared, temporary), daemon=True
+        )
         self.over = False
-        with _no_main_module():
-            self.process.start()
+        self._begin = time.monotonic()
+        try:
+            with no_main_module():
+                self.process.start()
+        except BaseException:
+            self._let_go()
+            raise
+        self._pid = self.process.pid or 0
 
     def look(self) -> Ended | None:
         """How the job ended, or None while it runs; ends it where its time is over."""
-        started, _, frames_done_at = self.heartbeat
-        limit = self.task.time_limit_s + GRACE_S
+        trim(self._log)
         late = ""
         if self.process.exitcode is None:
-            # The answers after the last frame, their scores and files have a budget of their own.
-            since = frames_done_at or started
-            if not started or time.monotonic() < since + limit:
+            late = self._late()
+            if not late and not self._lingers():
                 return None
-            self.process.kill()
+            end_tree(self._pid)
             self.process.join()
-            late = (
-                f"what it is asked after the last frame, and its scores, took longer than {limit:g} s"
-                if frames_done_at
-                else f"ended {limit:g} s after its start: it was stuck"
-            )
+        return self._ended(late)
+
+    def end(self) -> None:
+        """End it, whatever it does."""
+        end_tree(self._pid)
+        self.process.join()
+        self._let_go()
+        if self._shared is not None:
+            self._shared.close()
+
+    def _late(self) -> str:
+        """Why it has to be ended, or nothing while it is within its limits.
+
+        They count estimation: what loads, scores and saves is ours.
+        """
+        started, _, frames_done_at, answered_at, _ = self.heartbeat
+        limit = self.task.time_limit_s + GRACE_S
+        now = time.monotonic()
+        if answered_at:
+            return ""
+        if not started:
+            return "" if now < self._begin + limit + LOADING_S else "it did not come to its start"
+        if now < (frames_done_at or started) + limit:
+            return ""
+        if frames_done_at:
+            return f"what it is asked after the last frame took longer than {limit:g} s"
+        return f"ended {limit:g} s after its start: it was stuck"
+
+    def _lingers(self) -> bool:
+        """Whether everything is written and the process does not end all the same."""
+        if not self.heartbeat[3] or not self.task.result.is_file():
+            return False
+        if self._result_seen is None:
+            self._result_seen = time.monotonic()
+        return time.monotonic() > self._result_seen + GRACE_S
+
+    def _ended(self, late: str) -> Ended:
         self.over = True
-        code, frames = self.process.exitcode, int(self.heartbeat[1])
+        code, frames, reason = self.process.exitcode, int(self.heartbeat[1]), int(self.heartbeat[4])
+        # Its children end with it, however it ended.
+        end_group(self._pid)
+        lost_server = code == 255 and is_alive(self._pid)
+        if lost_server:
+            end_tree(self._pid)
         self.process.close()
+        self._let_go()
+        trim(self._log)
         if self.task.result.is_file():
             # The file is put in place as a whole and as the last thing: how the process ended then is a note.
-            note = f"afterwards {_death(code)}" if code and not late else ""
+            note = f"afterwards {_death(code)}" if code and not late and self._result_seen is None else ""
+            if self._shared is not None:
+                self._shared.close()
             return Ended(self.task, frames_done=frames, note=note)
+        fault, status = f"{_death(code)} and left no result", _status_of(code)
         if late:
-            return Ended(self.task, late, timed_out=True, frames_done=frames)
-        if code == STORAGE_FAILED:
-            return Ended(self.task, "its result could not be written", storage_failed=True)
-        return Ended(self.task, f"{_death(code)} and left no result", frames_done=frames)
+            fault, status = late, "timed_out"
+        elif reason in (OUTDATED, LOST_STREAM):
+            status = "missing"
+        elif lost_server:
+            fault, status = "the server of the worker processes was killed", "killed"
+        return Ended(
+            self.task,
+            fault,
+            status,
+            outdated=reason == OUTDATED,
+            storage_failed=reason == STORAGE_FAILED and not late,
+            frames_done=frames,
+            shared=self._shared,
+        )
+
+    @property
+    def _log(self) -> Path:
+        return self.task.log
+
+    def _let_go(self) -> None:
+        shutil.rmtree(self._temporary, ignore_errors=True)
 
 
 def _death(code: int | None) -> str:
@@ -203,89 +292,13 @@ def _death(code: int | None) -> str:
     return f"the worker process ended with exit code {code}"
 
 
-def _work(task: Task, heartbeat: MutableSequence[float]) -> None:
-    """Body of a worker process."""
-    # Ctrl-C reaches the whole process group; the parent decides what ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_follow, args=(parent,), daemon=True).start()
-    from slamcmp.errors import StorageError
-    from slamcmp.experiment.job.worker import perform
-    from slamcmp.support.memory import limit_growth
-
-    code = 0
-    with _output_to_log(task):
-        if task.memory_limit_mb is not None:
-            limit_growth(task.memory_limit_mb)
-        try:
-            perform(task, heartbeat)
-        except (StorageError, OSError) as error:
-            print(error, file=sys.stderr)
-            code = STORAGE_FAILED
-        except Exception:
-            # Here, while standard error still leads to the log.
-            traceback.print_exc()
-            code = 1
-    if code:
-        sys.exit(code)
+def _status_of(code: int | None) -> Status:
+    return "killed" if code is not None and code < 0 and -code not in OWN_FAULTS else "crashed"
 
 
-def _follow(parent: Any) -> None:
-    """A worker whose parent died has nobody to work for."""
-    parent.join()
-    os._exit(1)
-
-
-@contextlib.contextmanager
-def _output_to_log(task: Task) -> Iterator[None]:
-    """What a back end prints would tear the progress bar; it goes to logs/KEY.log, if there is any."""
-    path = task.folder / "logs" / f"{task.key}.log"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
-    except OSError:
-        descriptor = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(descriptor, 1)
-    os.dup2(descriptor, 2)
-    os.close(descriptor)
-    faulthandler.enable(2)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(OSError, ValueError):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        with contextlib.suppress(OSError):
-            if path.stat().st_size == 0:
-                path.unlink()
-
-
-@contextlib.contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Two workers with two BLAS threads each on two cores are many times slower than one."""
-    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-@contextlib.contextmanager
-def _no_main_module() -> Iterator[None]:
-    """Keep multiprocessing from running the caller's script again in every worker.
-
-    Workers need nothing from it (tasks are plain values, plug-ins are found by name), and a script
-    without ``if __name__ == "__main__"`` would start its experiment anew in each of them.
-    """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
+def _remove_left_behind() -> None:
+    """The temporary folders of runs that were killed themselves."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{TEMPORARY}[0-9]*-*"):
+        pid = folder.name.removeprefix(TEMPORARY).partition("-")[0]
+        if pid.isdigit() and not is_alive(int(pid)):
+            shutil.rmtree(folder, ignore_errors=True)

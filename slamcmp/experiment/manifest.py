@@ -70,10 +70,12 @@ def require_same_experiment(experiment: Experiment, folder: Path) -> None:
     """
     try:
         known = json.loads((folder / "manifest.json").read_text())
-        file, config = known.get("config_file"), known.get("config")
-    except (OSError, ValueError, AttributeError):
+        file, config = known["config_file"], known["config"]
+        other = experiment.path is not None and Path(file) != experiment.path and Path(file).is_file()
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError):
+        # Damaged, or of a program: what it says about another experiment nobody knows.
         return
-    if experiment.path is None or file is None or Path(file) == experiment.path or not Path(file).is_file():
+    if not other:
         return
     if config == json.loads(json.dumps(finite(experiment.as_dict()), default=str)):
         return

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from slamcmp.experiment.config.experiment import Experiment
+from slamcmp.experiment.fault import OUTSIDE
 from slamcmp.experiment.job.task import run_path, stream_path, truth_path
 from slamcmp.experiment.trials import RunJob, StreamJob, Trial, make_trials
-from slamcmp.results.run_file import load_truth, run_status
+from slamcmp.results.run_file import load_run, load_truth
+from slamcmp.support.opened_files import unchanged
 
 
 @dataclass
@@ -21,6 +23,8 @@ class Plan:
     """To be made, by key."""
     runs: dict[str, RunJob] = field(default_factory=dict)
     """To be run, by key."""
+    standing: dict[str, list[RunJob]] = field(default_factory=dict)
+    """Runs whose results stand if their stream, by its key, comes out as it was."""
     reused: int = 0
     """Runs whose results are there."""
 
@@ -38,20 +42,33 @@ def plan_experiment(
     for trial in plan.trials:
         if trial.stream.key in seen:
             continue
+        known = load_truth(truth_path(folder, trial.stream.key))
+        gone = known is None or known.error is not None or not unchanged(known.inputs)
         waiting = False
         for job in trial.runs:
             if job.key in seen:
                 waiting = waiting or job.key in plan.runs
                 continue
             seen.add(job.key)
-            status = run_status(run_path(folder, job.key))
-            if status is None or (rerun_failed and status != "ok"):
+            if _has_result(job, folder, rerun_failed):
+                plan.reused += 1
+                if gone:
+                    plan.standing.setdefault(trial.stream.key, []).append(job)
+            else:
                 plan.runs[job.key] = job
                 waiting = True
-            else:
-                plan.reused += 1
-        known = load_truth(truth_path(folder, trial.stream.key))
-        gone = known is None or known.error is not None
         if gone or (waiting and known is not None and not stream_path(folder, known.digest).is_file()):
             plan.streams[trial.stream.key] = trial.stream
     return plan
+
+
+def _has_result(job: RunJob, folder: Path, rerun_failed: bool) -> bool:
+    """Whether a run's result can be used: it is there, and what it read besides is what it was."""
+    try:
+        stored = load_run(run_path(folder, job.key))
+    except MemoryError:
+        # It will be a row that says so.
+        return True
+    if stored is None or stored.run.status in OUTSIDE or (rerun_failed and stored.run.status != "ok"):
+        return False
+    return unchanged(stored.inputs)

@@ -12,6 +12,7 @@ from typing import Any
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.executors import Executor
+from slamcmp.experiment.fault import OUTSIDE, Fault
 from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.plan import Plan, plan_experiment
@@ -23,13 +24,14 @@ from slamcmp.experiment.trials import Trial
 from slamcmp.registry import executors
 from slamcmp.results.run_file import load_truth
 from slamcmp.results.store import Results, save_results
+from slamcmp.support.atomic import remove_left_behind
 from slamcmp.support.interruption import interruptions
 from slamcmp.support.lock import locked
-from slamcmp.support.progress import watching
+from slamcmp.support.progress import unbreakable, watching
 
 
 class Interrupted(SlamcmpError):
-    """Ctrl-C: what was done is in the tables, the rest runs when the experiment is started again."""
+    """Ctrl-C, or a signal to end: what was done is in the tables, the rest runs when started again."""
 
     exit_code = 130
 
@@ -72,7 +74,7 @@ def run_experiment(
         UsageError: the configuration cannot be used, or another run writes to the same folder.
         MissingDataError: a file the experiment needs is not there.
         StorageError: a result cannot be written.
-        Interrupted: Ctrl-C; what was done is saved.
+        Interrupted: Ctrl-C, SIGTERM or SIGHUP; what was done is saved.
     """
     if not isinstance(experiment, Experiment):
         experiment = load_experiment(experiment)
@@ -86,8 +88,9 @@ def run_experiment(
     place = executors.get(executor)
     workers: Executor = place.target(slots=slots)
     rounds = _Rounds()
-    with locked(folder), interruptions(catch=not place.traits.get("in_process", False)) as stop:
+    with locked(folder), interruptions(raising=bool(place.traits.get("in_process", False))) as stop:
         require_same_experiment(experiment, folder)
+        remove_left_behind(folder, folder / "runs", folder / "streams")
         try:
             rounds.run_all(experiment, folder, workers, stop, rerun_failed=rerun_failed, progress=progress)
         except KeyboardInterrupt:
@@ -95,23 +98,33 @@ def run_experiment(
         # After a StorageError no tables: they would meet the same full disk; finished runs are kept.
         finally:
             workers.close()
-        tables = gather(rounds.plan.trials, folder, experiment.reference, rounds.stream_faults)
+        tables = gather(
+            rounds.plan.trials,
+            folder,
+            experiment.reference,
+            rounds.stream_faults,
+            rounds.lost,
+            rounds.pending,
+        )
+        again = int(tables.trials["status"].isin(OUTSIDE).sum())
+        about_streams = _about_streams(rounds.plan.trials, folder, experiment.reference)
         manifest |= {
             "finished": now(),
             "wall_s": time.monotonic() - begin,
             "jobs": workers.slots,
             "jobs_run": rounds.done,
-            "jobs_reused": rounds.plan.reused,
-            "jobs_missing": rounds.missing,
+            "jobs_reused": rounds.plan.reused - rounds.again,
+            "jobs_missing": len(rounds.pending) + again,
             **names_of(rounds.plan.trials),
-            **_about_streams(rounds.plan.trials, folder, experiment.reference),
+            **about_streams,
+            "warnings": [*about_streams["warnings"], *tables.warnings],
             **({} if rounds.search is None else {"until": rounds.search}),
         }
-        results = Results(folder, manifest, *tables)
+        results = Results(folder, manifest, tables.trials, tables.frames, tables.landmarks)
         save_results(results)
     if rounds.fatal is not None:
         raise rounds.fatal
-    if stop.is_set() and (rounds.missing or rounds.unfinished):
+    if stop.is_set() and (rounds.pending or rounds.unfinished):
         raise Interrupted(results)
     return results
 
@@ -129,12 +142,17 @@ class _Rounds:
     def __init__(self) -> None:
         self.plan = Plan([])
         """Of the last round; its trials are those of all rounds."""
-        self.stream_faults: dict[str, str] = {}
+        self.stream_faults: dict[str, Fault] = {}
+        self.lost: dict[str, Fault] = {}
+        """Runs that have to be done again, by key."""
+        self.pending: set[str] = set()
+        """Keys of the jobs that were not come to."""
         self.fatal: SlamcmpError | None = None
         self.search: dict[str, Any] | None = None
         """How the search for enough seeds ended, for the manifest."""
         self.done = 0
-        self.missing = 0
+        self.again = 0
+        """Runs that had a result, of another stream than there is now."""
         self.unfinished = False
         """Ctrl-C came before the search was over."""
         self._tried: set[str] = set()
@@ -158,21 +176,23 @@ class _Rounds:
             todo = len(plan.runs) + len(plan.streams)
             self._tried |= {*plan.runs, *plan.streams}
             with watching(todo, show=progress) as watcher:
-                schedule = Schedule(plan, folder, workers, watcher, experiment, stop)
+                schedule = Schedule(plan, folder, workers, unbreakable(watcher), experiment, stop)
                 try:
                     schedule.run_all()
                 except KeyboardInterrupt:
                     stop.set()
             self.stream_faults |= schedule.stream_faults
+            self.lost |= schedule.lost
+            self.pending = schedule.pending
             self.fatal = schedule.fatal
             self.done += schedule.done
-            self.missing = todo - schedule.done
+            self.again += schedule.again
             if rule is None or values is None:
                 return
             found = precisions(rule, values.table(plan.trials), labels)
             seeds = len(experiment.seeds)
             over = not found or all(each.enough for each in found) or seeds >= rule.max_seeds
-            self.unfinished = stop.is_set() and not (over and not self.missing)
+            self.unfinished = stop.is_set() and not (over and not self.pending)
             self.search = describe_stop(rule, found, seeds, interrupted=self.unfinished)
             if over or stop.is_set() or self.fatal is not None:
                 return

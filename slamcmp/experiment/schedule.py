@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import deque
 from dataclasses import replace
@@ -13,18 +14,21 @@ import slamcmp.errors
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.executors import Ended, Executor
-from slamcmp.experiment.job.task import Task, stream_path, truth_path
+from slamcmp.experiment.fault import OUTSIDE, Fault
+from slamcmp.experiment.job.collected import recovered
+from slamcmp.experiment.job.planned import changed_files, changed_stamp, loaded_before
+from slamcmp.experiment.job.task import Task, run_path, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.plan import Plan
 from slamcmp.experiment.samples import Samples
 from slamcmp.experiment.trials import RunJob, StreamJob, Trial
-from slamcmp.metrics import score_run
-from slamcmp.results.run_file import StoredRun, load_run, load_truth, run_status, save_run
+from slamcmp.results.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.atomic import storage_error
-from slamcmp.support.code_version import versions
 from slamcmp.support.memory import machine_memory_mb
+from slamcmp.support.messages import LIMIT, describe, told
 from slamcmp.support.progress import Watcher
-from slamcmp.types import Run, Status, Trajectory
+from slamcmp.support.shared_arrays import SharedArrays
+from slamcmp.types import Status
 
 LOOK_EVERY_S = 0.1
 MEMORY_SHARE = 0.9
@@ -50,9 +54,14 @@ class Schedule:
         self._several_trials = len(plan.trials) > 1
         share = machine_memory_mb() * MEMORY_SHARE / workers.slots
         self._memory_limit_mb = experiment.memory_limit_mb or share
-        self.stream_faults: dict[str, str] = {}
+        self.stream_faults: dict[str, Fault] = {}
+        self.lost: dict[str, Fault] = {}
+        """Runs that have to be done again, by key."""
         self.fatal: SlamcmpError | None = None
         self.done = 0
+        self.again = 0
+        """Runs that had a result, of another stream than there is now."""
+        self._standing = plan.standing
         self._frames: dict[str, tuple[str, int]] = {}
         self._samples, self._sampled = Samples(), set[str]()
         self._trials_of: dict[str, list[Trial]] = {}
@@ -70,7 +79,9 @@ class Schedule:
             else:
                 self._ready.append(job)
         for key in {job.stream_key for job in plan.runs.values()} - set(plan.streams):
-            self._remember_stream(key)
+            self._remember_stream(load_truth(truth_path(folder, key)), key)
+        self.pending = {*plan.runs, *plan.streams}
+        """Keys of what is not done."""
 
     def run_all(self) -> None:
         """Start and finish jobs until none is left, an error concerns them all, or ``stop`` is set.
@@ -81,8 +92,7 @@ class Schedule:
         running = 0
         while ((self._ready and self.fatal is None) or running) and not self._stop.is_set():
             while self._ready and running < self._workers.slots and self.fatal is None:
-                self._start(self._ready.popleft())
-                running += 1
+                running += self._start(self._ready.popleft())
             for ended in self._workers.wait(LOOK_EVERY_S):
                 running -= 1
                 # A worker that Ctrl-C hit while it was starting has not failed.
@@ -90,6 +100,10 @@ class Schedule:
                     self._finish(ended)
             self._watcher.advanced(self._workers.frames_done())
             self._require_samples()
+        # What came to its end while the signal came is done.
+        for ended in self._workers.wait(0.0) if self._stop.is_set() else ():
+            if not ended.fault:
+                self._finish(ended)
 
     def _require_samples(self) -> None:
         """Start nothing more where two seeds or recordings turned out to be one stream."""
@@ -108,62 +122,119 @@ class Schedule:
         seed = [] if trial.seed is None else [trial.recording or f"seed {trial.seed}"]
         return f" ({', '.join([*swept, *seed])})"
 
-    def _start(self, job: StreamJob | RunJob) -> None:
+    def _start(self, job: StreamJob | RunJob) -> bool:
+        """Begin a job; False where it cannot be."""
         if isinstance(job, StreamJob):
-            plugins = tuple((each.spec, each.arguments()) for each in (job.source, job.front_end))
-            limit = self._stream_time_limit_s
-            task, frames = Task("stream", job.key, self._folder, plugins, job.seed, time_limit_s=limit), 0
+            task, frames = self._stream_task(job), 0
+        elif job.stream_key in self._frames:
+            task, frames = self._run_task(job), self._frames[job.stream_key][1]
         else:
-            digest, frames = self._frames[job.stream_key]
-            task = Task(
-                "run",
-                job.key,
-                self._folder,
-                ((job.back_end.spec, dict(job.back_end.parameters)),),
-                job.seed,
-                label=job.back_end.label,
-                stream_key=job.stream_key,
-                digest=digest,
-                time_limit_s=job.time_limit_s,
-                memory_limit_mb=self._memory_limit_mb,
-                record=job.record,
-                own_gate=job.back_end.own_gate,
-            )
+            self._lose(job.key, "missing", "what was known about its stream is gone")
+            return False
         try:
             task.result.unlink(missing_ok=True)
-            task.online_part.unlink(missing_ok=True)
         except OSError as error:
             raise storage_error(task.result, error) from error
+        try:
+            self._workers.start(task)
+        except (OSError, EOFError) as error:
+            self.fatal = SlamcmpError(
+                f"no worker process can be started ({describe(error)}); what finished is kept: run the same "
+                "command again"
+            )
+            return False
         self._watcher.started(task.key, self._names[task.key], frames)
-        self._workers.start(task)
+        return True
+
+    def _stream_task(self, job: StreamJob) -> Task:
+        plugins = (job.source.plugin(), job.front_end.plugin())
+        return Task(
+            "stream",
+            job.key,
+            self._folder,
+            tuple((each.spec, each.arguments()) for each in (job.source, job.front_end)),
+            job.seed,
+            time_limit_s=self._stream_time_limit_s,
+            code=job.code,
+            data=job.data,
+            watched=any("user_file" in plugin.traits for plugin in plugins),
+            declared="user_file" not in plugins[0].traits or "files" in plugins[0].traits,
+        )
+
+    def _run_task(self, job: RunJob) -> Task:
+        return Task(
+            "run",
+            job.key,
+            self._folder,
+            ((job.back_end.spec, dict(job.back_end.parameters)),),
+            job.seed,
+            label=job.back_end.label,
+            stream_key=job.stream_key,
+            digest=self._frames[job.stream_key][0],
+            time_limit_s=job.time_limit_s,
+            memory_limit_mb=self._memory_limit_mb,
+            record=job.record,
+            own_gate=job.back_end.own_gate,
+            code=job.code,
+            watched="user_file" in job.back_end.plugin().traits,
+        )
 
     def _finish(self, ended: Ended) -> None:
         task = ended.task
-        if ended.storage_failed:
-            raise self._storage_failure(task)
-        if task.kind == "stream":
-            outcome = self._finish_stream(ended)
-        else:
-            if ended.fault:
-                self._store_failure(ended)
-            elif ended.note:
-                _add_note(task, ended.note)
-            outcome = run_status(task.result) or "lost"
+        try:
+            if ended.storage_failed:
+                raise self._storage_failure(task)
+            if task.kind == "stream":
+                outcome = self._finish_stream(ended)
+            elif ended.fault and ended.status == "missing":
+                self._lose(task.key, "missing", self._why_missing(ended))
+                outcome = "missing"
+            else:
+                if ended.fault:
+                    self._store_failure(ended)
+                elif ended.note:
+                    _add_note(task, ended.note)
+                stored = load_run(task.result)
+                outcome = "missing" if stored is None else stored.run.status
+                self.pending.discard(task.key)
+        finally:
+            if ended.shared is not None:
+                ended.shared.close()
         self.done += 1
         self._watcher.ended(task.key, outcome, ended.frames_done)
 
+    def _lose(self, key: str, status: Status, message: str) -> None:
+        """A run that has no result, and is done again by the same command."""
+        self.lost[key] = Fault(status, message)
+        self.pending.discard(key)
+
+    def _why_missing(self, ended: Ended) -> str:
+        if not ended.outdated:
+            done, frames = ended.frames_done, self._frames[ended.task.stream_key][1]
+            return told(f"after {done} of {frames} frames: {ended.fault}{self._last_words(ended.task)}")
+        return _outdated(ended.task)
+
     def _finish_stream(self, ended: Ended) -> str:
         key = ended.task.key
+        self.pending.discard(key)
         waiting = self._waiting.pop(key, [])
         known = None if ended.fault else load_truth(ended.task.result)
         if known is not None and known.error is None:
-            self._remember_stream(key)
+            self._remember_stream(known, key)
+            waiting = [*waiting, *self._of_another_stream(key, known)]
             # Before further streams: so few streams wait unread, and results appear early.
             self._ready.extendleft(reversed(waiting))
             return "ok"
         kind, message = known.error if known is not None and known.error is not None else ("", ended.fault)
-        ended.task.result.unlink(missing_ok=True)
-        self.stream_faults[key] = message
+        with contextlib.suppress(OSError):
+            ended.task.result.unlink(missing_ok=True)
+        status: Status = ended.status if ended.fault and ended.status in OUTSIDE else "crashed"
+        if not ended.fault and known is None:
+            status, message = "missing", "its file is gone or cannot be read"
+        elif ended.outdated:
+            message = _outdated(ended.task)
+        self.stream_faults[key] = Fault(status, told(f"no stream: {message}"))
+        self.pending -= {job.key for job in waiting}
         self.done += len(waiting)
         error_class = _error_class(kind)
         # A file that is not there is missing for every trial, and the fault of an only stream is all there is
@@ -172,58 +243,91 @@ class Schedule:
             self.fatal = error_class(message)
         return message
 
-    def _remember_stream(self, key: str) -> None:
-        known = load_truth(truth_path(self._folder, key))
-        assert known is not None
-        self._frames[key] = known.digest, known.frames
+    def _of_another_stream(self, key: str, known: StoredTruth) -> list[RunJob]:
+        """The runs whose result, which is removed, is not of the stream and truth that were made just now."""
+        jobs = []
+        expected = known.digest, truth_digest(known.truth)
+        for job in self._standing.get(key, []):
+            path = run_path(self._folder, job.key)
+            stored = load_run(path)
+            if stored is None or (stored.run.digest, stored.scored_against) != expected:
+                path.unlink(missing_ok=True)
+                jobs.append(job)
+        self.again += len(jobs)
+        self.pending |= {job.key for job in jobs}
+        return jobs
+
+    def _remember_stream(self, known: StoredTruth | None, key: str) -> None:
+        if known is not None:
+            self._frames[key] = known.digest, known.frames
 
     def _storage_failure(self, task: Task) -> StorageError:
-        log = self._folder / "logs" / f"{task.key}.log"
-        told = log.read_text().strip() if log.is_file() else ""
+        words = _log_text(task)
         return StorageError(
-            told
+            words
             or f"cannot write {task.result}: is the disk full? What finished before is kept: "
             "make room and run the same command again"
         )
 
     def _store_failure(self, ended: Ended) -> None:
-        """Put a row where a worker left none."""
+        """Put a row with all finished frames where a worker left none."""
         task = ended.task
         digest, frames = self._frames[task.stream_key]
-        nothing = np.empty(0)
-        place = f"after {ended.frames_done} of {frames} frames"
-        status: Status = "timed_out" if ended.timed_out else "crashed"
-        message = f"{place}: {ended.fault}{self._last_words(task)}"
-        online_part = load_run(task.online_part)
-        if online_part is not None:
-            run = replace(online_part.run, status=status, message=message)
-            known = load_truth(truth_path(self._folder, task.stream_key))
-            save_run(scored(run, None if known is None else known.truth), task.result)
-            task.online_part.unlink(missing_ok=True)
-            return
-        run = Run(
-            back_end=task.label,
+        message = f"after {ended.frames_done} of {frames} frames: {ended.fault}{self._last_words(task)}"
+        shared = SharedArrays() if ended.shared is None else ended.shared
+        run = recovered(
+            shared,
+            ended.frames_done,
+            label=task.label,
             parameters=task.plugins[0][1],
             digest=digest,
             seed=task.seed,
             frames=frames,
-            status=status,
-            message=message,
-            online=Trajectory(nothing, np.empty((0, *self._pose_shape(task))), None),
-            update_s=nothing,
-            estimate_s=nothing,
-            versions=versions(),
+            status=ended.status,
+            message=told(message),
+            space_dim=self._space_dim(task),
         )
-        save_run(StoredRun(run, score_run(run, None), ended.frames_done / frames), task.result)
+        known = load_truth(truth_path(self._folder, task.stream_key))
+        stored = scored(run, None if known is None else known.truth)
+        save_run(replace(stored, completion=ended.frames_done / frames), task.result)
 
-    def _pose_shape(self, task: Task) -> tuple[int, int]:
-        with np.load(stream_path(self._folder, task.digest), allow_pickle=False) as file:
-            size = file["prior_T"].shape[0]
-        return size, size
+    def _space_dim(self, task: Task) -> int:
+        try:
+            with np.load(stream_path(self._folder, task.digest), allow_pickle=False) as file:
+                return int(file["prior_T"].shape[0]) - 1
+        except (OSError, ValueError, KeyError):
+            # Gone meanwhile: nothing in an empty trajectory depends on it.
+            return 2
 
     def _last_words(self, task: Task) -> str:
-        log = self._folder / "logs" / f"{task.key}.log"
-        return f"; its output is in {log}" if log.is_file() and log.stat().st_size else ""
+        with contextlib.suppress(OSError):
+            if task.log.stat().st_size:
+                return f"; its output is in {task.log}"
+        return ""
+
+
+def _outdated(task: Task) -> str:
+    """What a row says whose code or data is not what was planned."""
+    names = [*changed_files(task.code), *(Path(path).name for path in task.data if changed_stamp(task, path))]
+    if not names:
+        # Only what this process itself has loaded can be older than the files: it is no worker.
+        old = loaded_before(task.code)
+        if old:
+            return told(
+                f"not run: slamcmp itself was edited ({', '.join(old[:3])}) since this process loaded it; "
+                "start Python anew"
+            )
+    which = f" ({', '.join(names[:3])}{' …' if len(names) > 3 else ''})" if names else ""
+    return told(
+        f"not run: its code or data changed while the experiment ran{which}; the same command runs it"
+    )
+
+
+def _log_text(task: Task) -> str:
+    try:
+        return told(task.log.read_bytes()[-LIMIT:].decode(errors="replace").strip())
+    except OSError:
+        return ""
 
 
 def _error_class(name: str) -> type[SlamcmpError] | None:

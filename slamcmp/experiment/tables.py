@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.component import Component
+from slamcmp.experiment.fault import Fault
 from slamcmp.experiment.inspection import FINDINGS, Inspector
 from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
 from slamcmp.experiment.samples import Samples
@@ -22,75 +23,197 @@ from slamcmp.metrics.information import KL, last_kl, median_kl
 from slamcmp.results.of_runs import COST_COLUMNS, outcome
 from slamcmp.results.posteriors import kl_series, load_posteriors
 from slamcmp.results.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
+from slamcmp.support.messages import describe, told
+from slamcmp.support.opened_files import changed
 from slamcmp.types import GroundTruth
 
 KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")
+UNREADABLE = Fault(
+    "missing", "the file of its result is gone or cannot be read; the same command runs it again"
+)
+
+
+class Tables(NamedTuple):
+    """All that was found, and what a reader of it must know."""
+
+    trials: pd.DataFrame
+    frames: pd.DataFrame
+    landmarks: pd.DataFrame
+    warnings: tuple[str, ...] = ()
 
 
 def gather(
-    trials: Sequence[Trial], folder: Path, reference: str | None, stream_faults: Mapping[str, str]
-) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    trials: Sequence[Trial],
+    folder: Path,
+    reference: str | None,
+    stream_faults: Mapping[str, Fault],
+    lost: Mapping[str, Fault] | None = None,
+    pending: Collection[str] = (),
+) -> Tables:
     """The trials, frames and landmarks of every run that lies in the folder.
 
-    ``stream_faults`` holds, by stream key, why a stream could not be made: its runs become failed rows.
+    Args:
+        trials: of the experiment.
+        folder: with its results.
+        reference: label of the back end whose final solution plays truth where there is none.
+        stream_faults: by stream key, why a stream could not be made: its runs become failed rows.
+        lost: by run key, why there is no result.
+        pending: keys of the jobs that were not come to; only these have no row.
 
     Raises:
         SlamcmpError: back ends of one trial did not get the same stream.
         UsageError: two samples are one and the same stream.
     """
-    rows: list[dict[str, Any]] = []
-    frames: list[pd.DataFrame] = []
-    landmarks: list[pd.DataFrame] = []
-    kinds = _kinds(trials)
-    samples = Samples()
+    gathering = _Gathering(trials, folder, reference, stream_faults, lost or {}, pending)
     for trial in trials:
-        if trial.stream.key in stream_faults:
-            rows += [
-                _row_without_stream(_keys(trial, job.back_end, "", kinds), stream_faults[trial.stream.key])
-                for job in trial.runs
-            ]
-            continue
-        known = load_truth(truth_path(folder, trial.stream.key))
-        divergences = _Divergences(trial, folder)
-        stored = [
-            (job.back_end, divergences.added(job, relabelled(run, job.back_end.label)))
-            for job in trial.runs
-            if (run := load_run(run_path(folder, job.key))) is not None
-        ]
-        if known is None or not stored:
-            continue
-        _require_one_stream(trial, known, [run for _, run in stored])
-        samples.add(trial, known.digest)
-        truth, name = trial_truth(known, [run for _, run in stored], reference)
+        gathering.add(trial)
+    rows = gathering.rows
+    warnings: list[str] = []
+    tables: list[pd.DataFrame] = []
+    for name, found in (("frames", gathering.frames), ("landmarks", gathering.landmarks)):
+        try:
+            tables.append(_joined(found, trials))
+        except MemoryError:
+            found.clear()
+            tables.append(_joined([], trials))
+            warnings.append(f"there is not enough memory for the table of {name}: it is empty")
+    of_trials = _typed(pd.DataFrame(rows, columns=_columns(trials, rows)))
+    return Tables(of_trials, tables[0], tables[1], tuple(warnings))
+
+
+class _Gathering:
+    """The rows so far."""
+
+    def __init__(
+        self,
+        trials: Sequence[Trial],
+        folder: Path,
+        reference: str | None,
+        stream_faults: Mapping[str, Fault],
+        lost: Mapping[str, Fault],
+        pending: Collection[str],
+    ) -> None:
+        self._folder, self._reference = folder, reference
+        self._stream_faults, self._lost, self._pending = stream_faults, lost, pending
+        self._kinds = _kinds(trials)
+        self._samples = Samples()
+        self.rows: list[dict[str, Any]] = []
+        self.frames: list[pd.DataFrame] = []
+        self.landmarks: list[pd.DataFrame] = []
+
+    def add(self, trial: Trial) -> None:
+        """The rows of one trial: one a run, but for those that were not come to."""
+        fault = self._stream_faults.get(trial.stream.key)
+        if fault is not None:
+            for job in trial.runs:
+                self._add_fault(trial, job, fault)
+            return
+        known, found = self._read(trial)
+        runs = [run for run in found.values() if isinstance(run, StoredRun)]
+        truth, name, inspector = None, "none", None
+        if known is not None:
+            _require_one_stream(trial, known, runs)
+            if runs:
+                self._samples.add(trial, known.digest)
+            truth, name = trial_truth(known, runs, self._reference)
+            borrowed = truth is not None and known.truth is None
+            file = stream_path(self._folder, known.digest)
+            inspector = Inspector(file, truth, borrowed, known.own_ids)
+        digest = "" if known is None else known.digest
+        # In the order of the file, whatever became of each.
+        for job in trial.runs:
+            run = found.get(job.key)
+            if isinstance(run, StoredRun) and known is not None and inspector is not None:
+                try:
+                    self._add_run(trial, job, run, known, truth, name, inspector)
+                except Exception as error:
+                    self._add_fault(trial, job, _not_gathered(error), digest)
+            elif isinstance(run, Fault):
+                self._add_fault(trial, job, run, digest)
+
+    def _read(self, trial: Trial) -> tuple[StoredTruth | None, dict[str, StoredRun | Fault]]:
+        """What is known about a trial, and each run that was come to, or why it cannot be read."""
+        found: dict[str, StoredRun | Fault] = {}
+        known: StoredTruth | None = None
+        fault = Fault("missing", "what is known about its stream is gone or cannot be read")
+        try:
+            known = load_truth(truth_path(self._folder, trial.stream.key))
+            divergences = _Divergences(trial, self._folder)
+        except MemoryError as error:
+            known, fault = None, _not_gathered(error)
+        for job in trial.runs:
+            if job.key in self._pending:
+                # An older result, or one that was written while the run was interrupted.
+                kept = None if known is None else load_run(run_path(self._folder, job.key))
+                if known is None or kept is None or kept.run.digest != known.digest:
+                    continue
+            if job.key in self._lost:
+                found[job.key] = self._lost[job.key]
+            elif known is None:
+                found[job.key] = fault
+            else:
+                try:
+                    found[job.key] = self._read_run(job, known, divergences)
+                except MemoryError as error:
+                    found[job.key] = _not_gathered(error)
+        return known, found
+
+    def _read_run(self, job: RunJob, known: StoredTruth, divergences: _Divergences) -> StoredRun | Fault:
+        run = load_run(run_path(self._folder, job.key))
+        if run is None:
+            return UNREADABLE
+        other = changed({**known.inputs, **run.inputs})
+        if other:
+            return _reads_something_else(other)
+        return divergences.added(job, relabelled(run, job.back_end.label))
+
+    def _add_run(
+        self,
+        trial: Trial,
+        job: RunJob,
+        run: StoredRun,
+        known: StoredTruth,
+        truth: GroundTruth | None,
+        reference: str,
+        inspector: Inspector,
+    ) -> None:
         borrowed = truth is not None and known.truth is None
-        record = trial.runs[0].record
-        recorded = {} if record is None else {"record": record.describe()}
-        inspector = Inspector(stream_path(folder, known.digest), truth, borrowed, known.own_ids)
-        for choice, run in stored:
-            keys = _keys(trial, choice, known.digest, kinds)
-            scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
-            rows.append(
-                {
-                    **keys,
-                    **scores,
-                    **outcome(run.run, run.completion, name),
-                    **inspector.findings(run.run),
-                    **recorded,
-                }
-            )
-            of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
-            of_landmarks = landmark_table(run.run, truth, reference=borrowed)
-            if known.own_ids is not None:
-                of_landmarks["id"] = known.own_ids[of_landmarks["id"].to_numpy()]
-            for tables, table in ((frames, of_frames), (landmarks, of_landmarks)):
-                for position, (key, value) in enumerate(keys.items()):
-                    table.insert(position, key, value)
-                tables.append(table)
-    return (
-        _typed(pd.DataFrame(rows, columns=_columns(trials, rows))),
-        _joined(frames, trials),
-        _joined(landmarks, trials),
-    )
+        keys = _keys(trial, job.back_end, run.run.digest, self._kinds)
+        scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
+        recorded = {} if job.record is None else {"record": job.record.describe()}
+        row = {
+            **keys,
+            **scores,
+            **outcome(run.run, run.completion, reference),
+            **inspector.findings(run.run),
+            **recorded,
+        }
+        of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
+        of_landmarks = landmark_table(run.run, truth, reference=borrowed)
+        if known.own_ids is not None:
+            of_landmarks["id"] = known.own_ids[of_landmarks["id"].to_numpy()]
+        for table in (of_frames, of_landmarks):
+            for position, (key, value) in enumerate(keys.items()):
+                table.insert(position, key, value)
+        self.rows.append(row)
+        self.frames.append(of_frames)
+        self.landmarks.append(of_landmarks)
+
+    def _add_fault(self, trial: Trial, job: RunJob, fault: Fault, digest: str = "") -> None:
+        row = _row_without_result(_keys(trial, job.back_end, digest, self._kinds), fault)
+        recorded = {} if job.record is None else {"record": job.record.describe()}
+        self.rows.append({**row, **recorded})
+
+
+def _reads_something_else(paths: Sequence[str]) -> Fault:
+    names = ", ".join(sorted({Path(path).name for path in paths}))
+    return Fault("missing", told(f"what it read has changed since ({names}); the same command runs it again"))
+
+
+def _not_gathered(error: Exception) -> Fault:
+    if isinstance(error, MemoryError):
+        return Fault("missing", "there is not enough memory to read its result; the result itself is kept")
+    return Fault("missing", f"its result could not be put into the tables: {describe(error)}")
 
 
 class _Divergences:
@@ -157,11 +280,11 @@ def _keys(trial: Trial, choice: Component, digest: str, kinds: Mapping[str, str]
     }
 
 
-def _row_without_stream(keys: Mapping[str, Any], fault: str) -> dict[str, Any]:
+def _row_without_result(keys: Mapping[str, Any], fault: Fault) -> dict[str, Any]:
     return {
         **keys,
-        "status": "crashed",
-        "message": f"no stream: {fault}",
+        "status": fault.status,
+        "message": fault.message,
         "completion": 0.0,
         "frames": 0,
         "reference": "none",

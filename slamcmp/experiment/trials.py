@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
 from slamcmp.experiment.config.component import Component, swept_target
 from slamcmp.experiment.config.experiment import Experiment, grid
 from slamcmp.experiment.config.record import Record
-from slamcmp.experiment.content_key import run_key, stream_key
+from slamcmp.experiment.content_key import Snapshot, run_code, run_key, stream_code, stream_key
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,10 @@ class StreamJob:
     source: Component
     front_end: Component
     seed: int | None
+    code: Mapping[str, str] = field(default_factory=dict)
+    """sha256 of each source file that the key names, by path."""
+    data: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """What each declared data file looked like when it was hashed."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class RunJob:
     time_limit_s: float
     memory_limit_mb: float | None
     record: Record | None = None
+    code: Mapping[str, str] = field(default_factory=dict)
+    """sha256 of each source file that the key names, by path."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +59,24 @@ class Trial:
 def make_trials(experiment: Experiment) -> list[Trial]:
     """Every trial, grid points in the order of the file and seeds (or recordings) innermost."""
     trials: list[Trial] = []
+    snapshot = Snapshot()
+    limits = experiment.time_limit_s, experiment.memory_limit_mb
+    record = experiment.record
+    recording = None if record is None else record.recording()
     for swept, (number, recording_of) in product(grid(experiment), enumerate(experiment.recordings or ({},))):
         source, front_end, back_ends = _apply(experiment, swept)
         for parameter, value in recording_of.items():
             source = source.with_parameter(parameter, value)
+        made_by = snapshot.code(stream_code(source, front_end))
+        run_by = [snapshot.code(run_code(each)) for each in back_ends]
         for seed in experiment.seeds:
-            stream = StreamJob(stream_key(source, front_end, seed), source, front_end, seed)
-            limits = experiment.time_limit_s, experiment.memory_limit_mb
-            record = experiment.record
-            recording = None if record is None else record.recording()
+            key = stream_key(source, front_end, seed, snapshot)
+            stream = StreamJob(key, source, front_end, seed, made_by, snapshot.data(source).stamps)
             runs = tuple(
-                RunJob(run_key(stream.key, each, *limits, recording), stream.key, each, seed, *limits, record)
-                for each in back_ends
+                RunJob(
+                    run_key(key, each, *limits, recording, snapshot), key, each, seed, *limits, record, code
+                )
+                for each, code in zip(back_ends, run_by, strict=True)
             )
             sample = number if recording_of else seed
             name = next(iter(recording_of.values()), "")

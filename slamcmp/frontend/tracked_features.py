@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Share = Annotated[float, Gt(0), Lt(1)]
 
 
-@front_ends.register("tracked_features")
+@front_ends.register("tracked_features", images=True)
 def tracked_features(
     log: Log,
     seed: int,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -40,6 +41,10 @@ class StoredRun:
     scores: Mapping[str, float]
     completion: float
     """Kept apart from the run's own: of a killed worker only the number of frames is left."""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """What was read beside what the key names, by path: digests."""
+    scored_against: str = ""
+    """Digest of the truth; the stream's own digest does not cover it."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,8 @@ class StoredTruth:
     """Of the log."""
     own_ids: IntArray | None = None
     """The recording's own names of the landmarks 0 … L - 1, where they have others."""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """What was read beside what the key names, by path: digests."""
 
 
 def save_run(stored: StoredRun, path: Path) -> None:
@@ -68,6 +75,8 @@ def save_run(stored: StoredRun, path: Path) -> None:
         **{name: getattr(run, name) for name in RUN_HEADER},
         "scores": dict(stored.scores),
         "completion": stored.completion,
+        "inputs": dict(stored.inputs),
+        "scored_against": stored.scored_against,
     }
     arrays: dict[str, Any] = {"update_s": run.update_s, "estimate_s": run.estimate_s}
     for name, trajectory in (("online", run.online), ("final", run.final)):
@@ -90,15 +99,20 @@ def load_run(path: Path) -> StoredRun | None:
     return _load(path, RUN_FORMAT, _rebuild_run)
 
 
+def truth_digest(truth: GroundTruth | None) -> str:
+    """sha256 over a truth; empty where there is none."""
+    if truth is None:
+        return ""
+    hasher = hashlib.sha256()
+    masks = () if truth.outliers is None else truth.outliers
+    for array in (truth.t, truth.T_world_body, truth.ids, truth.positions, *masks):
+        hasher.update(repr((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+    return hasher.hexdigest()
+
+
 def relabelled(stored: StoredRun, label: str) -> StoredRun:
     """The same under the label the experiment now gives the back end: labels are no part of a key."""
     return replace(stored, run=replace(stored.run, back_end=label))
-
-
-def run_status(path: Path) -> str | None:
-    """The status of a stored run; None where there is none that can be read."""
-    stored = load_run(path)
-    return None if stored is None else stored.run.status
 
 
 def save_truth(stored: StoredTruth, path: Path) -> None:
@@ -110,6 +124,7 @@ def save_truth(stored: StoredTruth, path: Path) -> None:
         "front_end": dict(stored.front_end),
         "error": stored.error,
         "warnings": list(stored.warnings),
+        "inputs": dict(stored.inputs),
     }
     arrays: dict[str, Any] = {}
     truth = stored.truth
@@ -147,7 +162,13 @@ def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stored
             name.removeprefix(SERIES): array for name, array in arrays.items() if name.startswith(SERIES)
         },
     )
-    return StoredRun(run, header["scores"], header["completion"])
+    return StoredRun(
+        run,
+        header["scores"],
+        header["completion"],
+        header.get("inputs", {}),
+        header.get("scored_against", ""),
+    )
 
 
 def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> StoredTruth:
@@ -160,7 +181,14 @@ def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stor
     error = tuple(header["error"]) if header["error"] else None
     warnings = tuple(header["warnings"])
     return StoredTruth(
-        header["digest"], header["frames"], truth, header["front_end"], error, warnings, arrays.get("own_ids")
+        header["digest"],
+        header["frames"],
+        truth,
+        header["front_end"],
+        error,
+        warnings,
+        arrays.get("own_ids"),
+        header.get("inputs", {}),
     )
 
 
@@ -201,6 +229,9 @@ def _load(
             arrays = {name: file[name] for name in file.files}
         header = json.loads(arrays.pop("header").tobytes())
         return rebuild(header, arrays) if header["format"] == expected else None
+    except MemoryError:
+        # The file is as good as before.
+        raise
     except Exception:
         # A damaged or older file is a result that has to be computed again, not an error; a changed byte
         # surfaces as whatever zipfile, zlib, numpy or json meet first, up to NotImplementedError (an

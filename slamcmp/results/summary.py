@@ -45,7 +45,7 @@ RUN_METRICS = (
     "final_solution_s",
     "peak_memory_mb",
 )
-STATUSES = ("diverged", "crashed", "timed_out")
+STATUSES = ("diverged", "crashed", "timed_out", "killed", "missing")
 ENOUGH_SEEDS = 5
 """Below this many runs per grid point medians and tests say little."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from slamcmp.errors import StorageError
+from slamcmp.support.process_tree import is_alive
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -29,6 +30,16 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         # Below something that is no folder there is nothing to remove.
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def remove_left_behind(*folders: Path) -> None:
+    """Remove the temporary files of writers that were killed; only for who holds the folders' lock."""
+    for folder in folders:
+        for path in folder.glob(".*.[0-9]*"):
+            name, _, pid = path.name.rpartition(".")
+            if pid.isdigit() and "." in name[1:] and not is_alive(int(pid)):
+                with contextlib.suppress(OSError):
+                    path.unlink()
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
+from slamcmp.errors import UsageError
+from slamcmp.support.bounds import TOO_DEEP, TooLargeError, require_bounded
 from slamcmp.support.yaml_source import KeyPath
 
 
@@ -15,6 +17,11 @@ class CodeSource:
     def __init__(self, name: str, data: Mapping[Any, Any]) -> None:
         """``name`` stands for the outermost mapping in messages."""
         self.name = name
+        try:
+            require_bounded(data)
+        except (RecursionError, TooLargeError) as error:
+            what = str(error) if isinstance(error, TooLargeError) else TOO_DEEP
+            raise UsageError(f"{name}: {what}") from None
         self.data: dict[str, Any] = plain_data(data)
 
     def existing(self, path: Sequence[str | int]) -> KeyPath:

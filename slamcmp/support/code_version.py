@@ -81,6 +81,11 @@ def import_closure(files: Iterable[Path]) -> set[Path]:
     return reached
 
 
+def foreign_imports(path: Path) -> tuple[str, ...]:
+    """The libraries that a source file imports: top-level names that are neither Python's nor near it."""
+    return _source(path).libraries
+
+
 def file_digest(path: Path) -> str:
     """sha256 of a file's bytes; read again only if the file changed."""
     return _digest(str(path), stamp(path))
@@ -102,7 +107,9 @@ class _Source:
     digest: str
     imported: tuple[Path, ...]
     foreign: tuple[str, ...]
-    """Top-level modules that belong to other distributions."""
+    """Top-level modules that belong to other distributions than slamcmp's own requirements."""
+    libraries: tuple[str, ...]
+    """All top-level modules that are neither the standard library's nor near it."""
 
 
 def _source(path: Path) -> _Source:
@@ -115,17 +122,21 @@ def _read(path_text: str, _stamp: tuple[int, ...]) -> _Source:
     text = path.read_bytes()
     found: set[Path] = set()
     foreign: set[str] = set()
-    for module in _module_names(ast.parse(text), path):
+    libraries: set[str] = set()
+    for module in _module_names(_parsed(text), path):
         parts = module.split(".")
         root = PACKAGE.parent if parts[0] == PACKAGE.name else path.parent
         stems = [root.joinpath(*parts[:length]) for length in range(1, len(parts) + 1)]
         ours = [file for stem in stems for file in (stem.with_suffix(".py"), stem / "__init__.py")]
         ours = [file for file in ours if file.is_file()]
         found.update(ours)
+        if not ours and not (stems[0].is_dir() or parts[0] in sys.stdlib_module_names):
+            libraries.add(parts[0])
         if not ours and not (stems[0].is_dir() or parts[0] in sys.stdlib_module_names | REQUIRED):
             foreign.add(parts[0])
     imported = tuple(sorted(file.resolve() for file in found))
-    return _Source(hashlib.sha256(text).hexdigest(), imported, tuple(sorted(foreign)))
+    digest = hashlib.sha256(text).hexdigest()
+    return _Source(digest, imported, tuple(sorted(foreign)), tuple(sorted(libraries)))
 
 
 def _version(module: str) -> str:
@@ -137,6 +148,14 @@ def _version(module: str) -> str:
     if owners:
         return ", ".join(f"{owner} {importlib.metadata.version(owner)}" for owner in sorted(set(owners)))
     return "absent" if importlib.util.find_spec(module) is None else "without a version"
+
+
+def _parsed(text: bytes) -> ast.AST:
+    try:
+        return ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError):
+        # Whoever imports it is told; it imports nothing.
+        return ast.Module([], [])
 
 
 def _module_names(tree: ast.AST, path: Path) -> Iterator[str]:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slamcmp.errors import UsageError
 from slamcmp.registry import did_you_mean
+from slamcmp.support.messages import LIMIT, told
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
     from slamcmp.support.yaml_source import KeyPath
+
+
+LINE_BYTES = 600
+"""Of one mistake."""
 
 
 class ConfigSource(Protocol):
@@ -73,9 +79,24 @@ class ConfigErrors:
     def raise_if_any(self) -> None:
         """Raise :class:`ConfigError` with every mistake, in the order of the file."""
         if self._found:
-            raise ConfigError(
-                [f"{where}: {' or: '.join(messages)}" for (_, where), messages in sorted(self._found.items())]
-            )
+            lines = [
+                f"{where}: {told(' or: '.join(messages), LINE_BYTES)}"
+                for (_, where), messages in sorted(self._found.items())
+            ]
+            shown = list(itertools.takewhile(_Room(LIMIT - 100).takes, lines)) or [told(lines[0])]
+            more = len(lines) - len(shown)
+            raise ConfigError([*shown, f"… and {more} more mistakes"] if more else shown)
+
+
+class _Room:
+    """So many bytes, filled line by line."""
+
+    def __init__(self, size: int) -> None:
+        self._left = size
+
+    def takes(self, line: str) -> bool:
+        self._left -= len(line.encode(errors="backslashreplace")) + 1
+        return self._left >= 0
 
 
 def _wrong_value(path: KeyPath, error: ErrorDetails) -> str:
@@ -85,5 +106,16 @@ def _wrong_value(path: KeyPath, error: ErrorDetails) -> str:
     if error["type"] == "literal_error" and isinstance(given, str):
         expected = str(error.get("ctx", {}).get("expected", ""))
         options = [option for option in expected.replace(" or ", ", ").split(", ") if option]
-        return f"{name}: {given!r} is not allowed{did_you_mean(given, [o.strip(chr(39)) for o in options])}"
-    return f"{text}, not {given!r}"
+        hint = did_you_mean(given, [option.strip(chr(39)) for option in options])
+        return f"{name}: {_shown(given)} is not allowed{hint}"
+    return f"{text}, not {_shown(given)}"
+
+
+def _shown(given: Any) -> str:
+    """What was given, as far as it fits into a line."""
+    try:
+        text = repr(given)
+    except (ValueError, RecursionError):
+        # An integer of more digits than Python writes out.
+        text = f"a {type(given).__name__} that is too large to be shown"
+    return told(text, LINE_BYTES // 3)

@@ -6,6 +6,8 @@ import traceback
 
 LIMIT = 2000
 """Bytes of UTF-8 that a message may have; what a file or an exception holds can be of any length."""
+NOT_THEIRS = ("site-packages", "slamcmp/loaded_code.py")
+"""In the names of files that no author looks for: the second stands between an import and the module."""
 
 
 def told(text: str, limit: int = LIMIT) -> str:
@@ -20,7 +22,7 @@ def told(text: str, limit: int = LIMIT) -> str:
 def describe(error: BaseException) -> str:
     """``ValueError: message (my_file.py:12, update)``: the deepest line outside installed libraries."""
     entries = traceback.extract_tb(error.__traceback__)
-    own = [entry for entry in entries if "site-packages" not in entry.filename]
+    own = [entry for entry in entries if not any(part in entry.filename for part in NOT_THEIRS)]
     place = (own or list(entries))[-1:]
     where = "".join(f" ({entry.filename.rsplit('/', 1)[-1]}:{entry.lineno}, {entry.name})" for entry in place)
     where = told(where, LIMIT // 4)

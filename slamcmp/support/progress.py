@@ -42,6 +42,33 @@ class Silent:
     def ended(self, key: str, outcome: str, frames_done: int) -> None: ...
 
 
+class _Unbreakable:
+    """Reports to another until nothing can be told any more: a closed terminal or pipe ends no run."""
+
+    def __init__(self, watcher: Watcher) -> None:
+        self._watcher = watcher
+
+    def started(self, key: str, what: str, frames: int) -> None:
+        self._tell(lambda: self._watcher.started(key, what, frames))
+
+    def advanced(self, frames_done: Mapping[str, int]) -> None:
+        self._tell(lambda: self._watcher.advanced(frames_done))
+
+    def ended(self, key: str, outcome: str, frames_done: int) -> None:
+        self._tell(lambda: self._watcher.ended(key, outcome, frames_done))
+
+    def _tell(self, say: Callable[[], None]) -> None:
+        try:
+            say()
+        except (OSError, ValueError):
+            self._watcher = Silent()
+
+
+def unbreakable(watcher: Watcher) -> Watcher:
+    """The watcher, with what it cannot print left out."""
+    return _Unbreakable(watcher)
+
+
 class Lines:
     """One line for each job that ended."""
 
@@ -121,5 +148,12 @@ def watching(
             TimeElapsedColumn(),
             *further,
         )
-        with Progress(*columns, console=console, transient=True) as progress:
+        progress = Progress(*columns, console=console, transient=True)
+        # The terminal may be gone at either end.
+        with contextlib.suppress(OSError):
+            progress.start()
+        try:
             yield bars(progress, jobs)
+        finally:
+            with contextlib.suppress(OSError):
+                progress.stop()

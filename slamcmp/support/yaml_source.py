@@ -11,8 +11,11 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from slamcmp.errors import MissingDataError, UsageError
+from slamcmp.support.bounds import TOO_DEEP, TooLargeError, require_bounded
+from slamcmp.support.messages import told
 
 KeyPath = tuple[str | int, ...]
+BYTES_MAX = 10_000_000
 
 
 class YamlSource:
@@ -27,13 +30,20 @@ class YamlSource:
         self.name = name
         try:
             root = YAML(typ="rt").load(text)
+            require_bounded(root)
+        except (RecursionError, TooLargeError) as error:
+            what = str(error) if isinstance(error, TooLargeError) else TOO_DEEP
+            raise UsageError(f"{name}: {what}") from None
         except MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             where = f"{name}:{mark.line + 1}:{mark.column + 1}" if mark else name
             what = (error.problem or error.context or "cannot be read").replace("\n", " ")
             raise UsageError(f"{where}: not valid YAML: {what}") from error
         except YAMLError as error:
-            raise UsageError(f"{name}: not valid YAML: {error}") from error
+            raise UsageError(told(f"{name}: not valid YAML: {error}")) from error
+        except Exception as error:
+            # A number of 5000 digits, the 99th of a month, a key that is a list: Python's own complaint.
+            raise UsageError(told(f"{name}: not valid YAML: {error}")) from error
         if not isinstance(root, CommentedMap):
             raise UsageError(f"{name}:1:1: an experiment is a mapping (key: value), not {_kind(root)}")
         self._root = root
@@ -64,14 +74,19 @@ class YamlSource:
         line, column = 0, 0
         for depth, step in enumerate(path):
             last = depth == len(path) - 1
-            if isinstance(node, CommentedMap) and step in node:
-                if step in node.lc.data:
-                    line, column = node.lc.key(step) if key and last else node.lc.value(step)
+            if isinstance(node, CommentedMap):
+                # Keys that are numbers or lists are known by their text.
+                written = next((each for each in node if each == step or str(each) == step), None)
+                if written is None:
+                    break
+                if written in node.lc.data:
+                    line, column = node.lc.key(written) if key and last else node.lc.value(written)
+                node = node[written]
             elif isinstance(node, CommentedSeq) and isinstance(step, int) and step < len(node):
                 line, column = node.lc.item(step)
+                node = node[step]
             else:
                 break
-            node = node[step]
         return line + 1, column + 1
 
 
@@ -83,11 +98,13 @@ def load_yaml(path: Path) -> YamlSource:
         UsageError: it is not UTF-8 text or not valid YAML.
     """
     try:
+        if path.stat().st_size > BYTES_MAX:
+            raise UsageError(f"{path}: {path.stat().st_size} bytes are no experiment: at most {BYTES_MAX}")
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise MissingDataError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from error
+    except (OSError, ValueError) as error:
+        if isinstance(error, UnicodeDecodeError):
+            raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from error
+        raise MissingDataError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     return YamlSource(str(path), text)
 
 

@@ -12,7 +12,7 @@ from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_unique
 from slamcmp.types.html import facts_html
 
-Status = Literal["ok", "diverged", "crashed", "timed_out"]
+Status = Literal["ok", "diverged", "crashed", "timed_out", "killed", "missing"]
 
 
 @dataclass(frozen=True)

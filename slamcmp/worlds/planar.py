@@ -45,7 +45,10 @@ def planar_world(name: str, **defaults: Any) -> Callable[[Builder], Source]:
             world = build(settings, path_generator, map_generator, **own)
             return simulate(name, world, settings, streams)
 
-        return sources.register(name, seeded=True, parameter_docs=field_docs)(shared.signed(source))
+        register = sources.register(
+            name, seeded=True, parameter_docs=field_docs, contradictions=lambda **given: shared.split(given)
+        )
+        return register(shared.signed(source))
 
     return decorate
 

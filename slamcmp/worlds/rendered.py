@@ -35,7 +35,7 @@ _CLEARANCE_M = {"room": 1.6, "corridor": 0.9}
 """Between the path and the walls."""
 
 
-@sources.register("rendered", seeded=True)
+@sources.register("rendered", seeded=True, images=True)
 def rendered(
     seed: int,
     *,

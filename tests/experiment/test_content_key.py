@@ -8,7 +8,7 @@ import pytest
 
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config.experiment import load_experiment
-from slamcmp.experiment.content_key import data_digests
+from slamcmp.experiment.content_key import data_files
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.trials import make_trials
 from slamcmp.registry import sources
@@ -82,7 +82,7 @@ def test_keys_follow_each_of_two_files_of_one_name(tmp_path: Path, monkeypatch: 
         image.write_text("22")
         seen.add(keys(path)[0])
     assert len(seen) == 3
-    assert set(data_digests(load_experiment(path).source)) == {"left/0.png", "right/0.png"}
+    assert set(data_files(load_experiment(path).source).digests) == {"left/0.png", "right/0.png"}
 
 
 def test_a_folder_of_data_is_found_beside_the_experiment(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import pytest
 from slamcmp.errors import DataError, SlamcmpError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.record import Record
-from slamcmp.experiment.executors import THREAD_VARIABLES
+from slamcmp.experiment.fork_server import THREAD_VARIABLES
 from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.experiment.job.recorder import Recorder
 from slamcmp.experiment.job.run_back_end import run_back_end

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.experiment.job.run_back_end import first_fault, run_back_end
+from slamcmp.experiment.job.collected import first_fault
+from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.frontend.labelled import labelled
 from slamcmp.support.memory import PeakMemory
 from slamcmp.types import MeasurementStream, Run

@@ -66,7 +66,7 @@ def test_each_kind_of_failure_is_a_row_and_takes_nothing_else_with_it(
         "Raises": ("crashed", 0.5, "frame 20: ValueError: no such landmark"),
         "Diverges": ("diverged", 0.5, "frame 20: wrong basin"),
         "TurnsNan": ("diverged", 0.5, "frame 20: the estimated pose is not finite"),
-        "IsKilled": ("crashed", 0.5, "after 20 of 40 frames: the worker process was killed by SIGKILL"),
+        "IsKilled": ("killed", 0.5, "after 20 of 40 frames: the worker process was killed by SIGKILL"),
         "Segfaults": ("crashed", 0.5, "after 20 of 40 frames: the worker process was killed by SIGSEGV"),
         "Exits": ("crashed", 0.5, "after 20 of 40 frames: the worker process ended with exit code 0"),
         "Loops": ("timed_out", 0.5, "after 20 of 40 frames: ended 3 s after its start: it was stuck"),
@@ -78,12 +78,16 @@ def test_each_kind_of_failure_is_a_row_and_takes_nothing_else_with_it(
         assert found["message"].startswith(message), found["message"]
         assert found["digest"] == results.trials["digest"][0]
     assert "MemoryError" in row(results, "Hog")["message"]
-    # The frames before the failure are kept where the worker lived to tell.
+    # The frames before the failure are kept, whether the worker lived to tell or not.
     counts = results.frames.groupby("label").size()
     assert counts["DeadReckoning"] == 40
-    assert counts["Raises"] == 20
-    assert "IsKilled" not in counts
-    assert np.isnan(row(results, "IsKilled")["online_ate"])
+    assert set(counts[names[1:]]) == {20}
+    ates = [row(results, label)["online_ate"] for label in names[1:]]
+    assert len(set(ates)) == 1
+    # A kill comes from outside: only that run is done again, by the same command.
+    assert results.manifest["jobs_missing"] == 1
+    again = run_experiment(path, folder=tmp_path / "r", jobs=2)
+    assert (again.manifest["jobs_run"], again.manifest["jobs_reused"]) == (1, len(names) - 1)
 
 
 def test_scores_and_tables_of_a_known_world(write_experiment: Write, tmp_path: Path) -> None:

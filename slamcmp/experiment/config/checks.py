@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,6 +13,7 @@ from annotated_types import Gt, Lt
 from pydantic import TypeAdapter, ValidationError
 
 from slamcmp.errors import UsageError
+from slamcmp.experiment.config import fit
 from slamcmp.experiment.config.component import OWN_GATE, REGISTRIES, Component, swept_target
 from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import StopRule
@@ -20,6 +22,8 @@ from slamcmp.support.config_errors import ConfigErrors
 from slamcmp.support.plugin_models import check_parameters, parameter_model
 from slamcmp.support.yaml_source import KeyPath
 
+RUNS_MAX = 1_000_000
+"""More than anybody waits for: a grid that was meant otherwise."""
 Probability = Annotated[float, Gt(0), Lt(1)]
 _PROBABILITY: TypeAdapter[float | None] = TypeAdapter(Probability | None)
 
@@ -51,7 +55,11 @@ class Checker:
         spec = name
         if ".py:" in name:
             file, _, attribute = name.rpartition(":")
-            spec = f"{(self._folder / Path(file).expanduser()).resolve()}:{attribute}"
+            try:
+                spec = f"{(self._folder / Path(file).expanduser()).resolve()}:{attribute}"
+            except (OSError, ValueError, RuntimeError) as error:
+                self._errors.add((*path, "name"), f"name: {file!r} is no path: {error}")
+                return None
         try:
             plugin = REGISTRIES[kind].get(spec)
             model = parameter_model(plugin)
@@ -68,6 +76,8 @@ class Checker:
             known: dict[KeyPath, Any] = {path: [*model.model_fields, *reserved]}
             self._errors.add_pydantic(error.errors(), path, known)
             parameters = {}
+        else:
+            fit.check_values(self._errors, plugin, parameters, given, path)
         if not self._gate(plugin, own_gate, (*path, OWN_GATE)):
             own_gate = None
         if own_gate is not None:
@@ -184,9 +194,12 @@ class Checker:
                 )
                 continue
             if target is not None:
-                self._swept_values(path, parameter, values, target)
+                beside = [other for other in swept if swept_target(other)[:2] == (section, label)]
+                self._swept_values(path, parameter, values, target, alone=len(beside) == 1)
 
-    def _swept_values(self, path: str, parameter: str, values: Any, target: Component) -> None:
+    def _swept_values(
+        self, path: str, parameter: str, values: Any, target: Component, *, alone: bool
+    ) -> None:
         plugin = target.plugin()
         if parameter == OWN_GATE and target.kind == "back end":
             for index, value in enumerate(values):
@@ -206,19 +219,39 @@ class Checker:
                     if details["loc"][:1] == (parameter,):
                         renamed = {**details, "loc": ()}
                         self._errors.add_pydantic([renamed], ("sweep", path, index), {})  # type: ignore[list-item]
+            else:
+                fit.check_swept_value(
+                    self._errors, plugin, target.parameters, parameter, value, path, index, alone=alone
+                )
         self._no_value_twice(path, values)
 
+    def fit(self, source: Component | None, front_end: Component | None) -> None:
+        """Whether the front end can use what the source gives."""
+        if source is not None and front_end is not None:
+            fit.check_source_and_front_end(self._errors, source, front_end)
+
+    def trials(self, swept: Mapping[str, Sequence[Any]], samples: int, back_ends: int) -> None:
+        """Whether the grid can be run at all."""
+        runs = math.prod([samples, back_ends, *map(len, swept.values())])
+        if runs > RUNS_MAX:
+            what = f"sweep: {runs:.3g} runs in all; at most {RUNS_MAX} are allowed"
+            self._errors.add(("sweep",) if swept else ("seeds",), what)
+
     def _no_value_twice(self, path: str, values: Any) -> None:
-        texts = [json.dumps(value, default=str) for value in values]
-        for index, text in enumerate(texts):
-            if text in texts[:index]:
+        seen: set[str] = set()
+        for index, value in enumerate(values):
+            text = json.dumps(value, default=str)
+            if text in seen:
                 self._errors.add(("sweep", path, index), f"sweep: {text} stands twice")
+            seen.add(text)
 
     def seeds(self, given: int | list[int], source: Component | None) -> tuple[int | None, ...]:
         seeds = tuple(range(given)) if isinstance(given, int) else tuple(given)
+        seen: set[int] = set()
         for index, seed in enumerate(seeds):
-            if seed in seeds[:index]:
+            if seed in seen:
                 self._errors.add(("seeds", index), f"seeds: {seed} stands twice")
+            seen.add(seed)
         if source is not None and not source.plugin().traits.get("seeded", True):
             if len(seeds) > 1:
                 self._errors.add(

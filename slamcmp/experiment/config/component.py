@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,9 +45,11 @@ class Component:
         values = dict(self.parameters)
         for name in self.plugin().traits.get("paths", ()):
             if self.folder is not None and isinstance(values.get(name), str):
-                beside = self.folder / Path(values[name]).expanduser()
-                if beside.exists():
-                    values[name] = str(beside.resolve())
+                # What is no path at all is for the source to say.
+                with contextlib.suppress(OSError, ValueError, RuntimeError):
+                    beside = self.folder / Path(values[name]).expanduser()
+                    if beside.exists():
+                        values[name] = str(beside.resolve())
         return values
 
     def with_parameter(self, name: str, value: Any) -> Component:

@@ -15,13 +15,14 @@ from slamcmp.errors import UsageError
 from slamcmp.experiment.config.checks import Checker
 from slamcmp.experiment.config.component import OWN_GATE, Component
 from slamcmp.experiment.config.record import Record
-from slamcmp.experiment.config.stop_rule import StopRule
+from slamcmp.experiment.config.stop_rule import SEEDS_MAX, StopRule
 from slamcmp.registry import did_you_mean
 from slamcmp.results.published import Published, check_published, published_keys
+from slamcmp.support.bounds import INTEGER_MAX, unusable_values
 from slamcmp.support.config_errors import ConfigErrors, ConfigSource
 from slamcmp.support.yaml_source import KeyPath, load_yaml
 
-Seed = Annotated[int, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0, le=INTEGER_MAX)]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]*$"
 
 
@@ -46,7 +47,7 @@ class ExperimentFields(BaseModel):
     reference: str | None = Field(
         None, description="Label whose final solution plays truth where the log has none"
     )
-    seeds: Annotated[int, Field(ge=1)] | Annotated[list[Seed], Field(min_length=1)] = Field(
+    seeds: Annotated[int, Field(ge=1, le=SEEDS_MAX)] | Annotated[list[Seed], Field(min_length=1)] = Field(
         1, description="How many seeds (0, 1, …), or a list of seeds"
     )
     until: StopRule | None = Field(
@@ -60,7 +61,7 @@ class ExperimentFields(BaseModel):
         3600.0, gt=0, description="Wall time of the source and the front end on one trial"
     )
     memory_limit_mb: float | None = Field(
-        None, gt=0, description="Memory one job may take; default: its share of the machine's"
+        None, gt=0, le=1e9, description="Memory one job may take; default: its share of the machine's"
     )
     record: Record | None = Field(None, description="What to record besides; runs that record tell no times")
     figures: list[str] | None = Field(None, description="Names of figures; default: all that apply")
@@ -105,6 +106,8 @@ class Experiment:
             raise UsageError("the samples are the source's recordings: there are no seeds to choose")
         if self.seeds == (None,):
             raise UsageError(f"source {self.source.name!r} is recorded data: it takes no seed")
+        if len(seeds) > SEEDS_MAX or any(not 0 <= seed <= INTEGER_MAX for seed in seeds):
+            raise UsageError(f"seeds: at most {SEEDS_MAX}, each from 0 to {INTEGER_MAX}")
         return replace(self, seeds=tuple(seeds), until=None)
 
     def with_more_seeds(self) -> Experiment:
@@ -162,6 +165,9 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
         ConfigError: it has mistakes; the message lists all of them with their places.
     """
     errors = ConfigErrors(source)
+    for place, what in unusable_values(source.data):
+        errors.add(place, what)
+    errors.raise_if_any()
     try:
         fields = ExperimentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
     except ValidationError as error:
@@ -199,10 +205,12 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
     ]
     checker.labels(chosen)
     checker.sweep(fields.sweep, chosen_source, front_end, chosen)
+    checker.fit(chosen_source, front_end)
     until = None if fields.until is None else StopRule.model_validate(fields.until)
     first = fields.seeds if until is None or "seeds" in source.data else until.batch
     seeds = checker.seeds(first, chosen_source)
     checker.require_recordings_alone(seeds, until, fields.sweep)
+    checker.trials(fields.sweep, len(seeds), len(chosen))
     if until is not None:
         checker.until(until, seeds, len(chosen))
     labels = [choice.label for choice in chosen if choice is not None]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
+import traceback
 from collections.abc import Mapping, MutableSequence, Sequence
 from dataclasses import replace
 from typing import Any, overload
@@ -9,11 +12,12 @@ from typing import Any, overload
 import numpy as np
 
 from slamcmp.errors import SlamcmpError
+from slamcmp.experiment.job.planned import held_to_plan, inputs, require_unchanged, unseen_readers
 from slamcmp.experiment.job.task import Task, stream_path
 from slamcmp.frontend.stream_file import save_stream
 from slamcmp.registry import front_ends, sources
 from slamcmp.results.run_file import StoredTruth, save_truth
-from slamcmp.support.messages import describe
+from slamcmp.support.messages import describe, told
 from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.types import CameraFrame, GroundTruth, Log, MeasurementStream
 
@@ -74,32 +78,55 @@ def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> Gro
 
 def store_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
     """Make the stream of a stream job and leave it, and what is known about it, in the results folder."""
+    with held_to_plan(task) as opened:
+        stream, known = _known_stream(task, heartbeat)
+    heartbeat[3] = time.monotonic()
+    if stream is None:
+        require_unchanged(task)
+    else:
+        save_stream(stream, stream_path(task.folder, stream.digest))
+    unseen = unseen_readers(task, opened)
+    if unseen:
+        warning = (
+            f"the source is made anew each time, for it uses {unseen}, which may read files that nobody "
+            "sees; name them with @sources.register(..., files=...) and it is kept"
+        )
+        known = replace(known, warnings=(*known.warnings, warning))
+    save_truth(replace(known, inputs=inputs(task, opened)), task.result)
+
+
+def _known_stream(
+    task: Task, heartbeat: MutableSequence[float]
+) -> tuple[MeasurementStream | None, StoredTruth]:
+    """The stream of a stream job, and what is known about it; None where it cannot be made."""
     try:
         stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed, heartbeat)
-    except Exception as error:
-        text = str(error) if isinstance(error, SlamcmpError) else describe(error)
-        save_truth(StoredTruth("", 0, None, {}, (type(error).__name__, text)), task.result)
-        return
-    save_stream(stream, stream_path(task.folder, stream.digest))
-    truth = truth_of_stream(log.truth, stream)
-    totals = {} if stream.report is None else stream.report.totals()
-    if log.truth is not None and truth is not None and truth.outliers is not None:
-        for name, masks in (("outliers", log.truth.outliers), ("outliers kept", truth.outliers)):
-            totals[name] = sum(int(mask.sum()) for mask in masks or ())
-    closures = sum(
-        frame.relative_poses.frames.size for frame in stream.frames if frame.relative_poses is not None
-    )
-    if closures:
-        totals["loop closures"] = closures
-    known = StoredTruth(
-        stream.digest,
-        len(stream.frames),
-        truth,
-        totals,
-        warnings=(*log.warnings, *(stream.report.warnings if stream.report else ()), *_gaps(log)),
-        own_ids=log.own_ids,
-    )
-    save_truth(known, task.result)
+        truth = truth_of_stream(log.truth, stream)
+        totals = {} if stream.report is None else stream.report.totals()
+        if log.truth is not None and truth is not None and truth.outliers is not None:
+            for name, masks in (("outliers", log.truth.outliers), ("outliers kept", truth.outliers)):
+                totals[name] = sum(int(mask.sum()) for mask in masks or ())
+        closures = sum(
+            frame.relative_poses.frames.size for frame in stream.frames if frame.relative_poses is not None
+        )
+        if closures:
+            totals["loop closures"] = closures
+        of_front_end = () if stream.report is None else stream.report.warnings
+        return stream, StoredTruth(
+            stream.digest,
+            len(stream.frames),
+            truth,
+            totals,
+            warnings=tuple(map(told, (*log.warnings, *of_front_end, *_gaps(log)))),
+            own_ids=log.own_ids,
+        )
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        with contextlib.suppress(Exception):
+            traceback.print_exc()
+        text = told(str(error)) if isinstance(error, SlamcmpError) else describe(error)
+        return None, StoredTruth("", 0, None, {}, (type(error).__name__, text))
 
 
 def _gaps(log: Log) -> list[str]:

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from slamcmp.errors import DivergedError
+from slamcmp.experiment.job.collected import Collected, first_fault
+from slamcmp.experiment.job.task import BEATS
 from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
 from slamcmp.support.memory import PeakMemory
-from slamcmp.support.messages import describe
+from slamcmp.support.messages import describe, told
+from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import (
     TANGENT_DIM,
-    BoolArray,
     Estimate,
-    FloatArray,
-    Frame,
     Landmarks,
     MeasurementStream,
     Problem,
@@ -34,8 +34,6 @@ CHECK_EVERY = 128
 """Frames between two looks at what was collected: a run that diverged stops at most this much later."""
 JOINT_DIM_MAX = 1500
 """Above it the joint covariance (18 MB here) is not asked for."""
-INDEFINITE = -1e-9
-"""Smallest eigenvalue of a correlation matrix that still counts as rounding."""
 
 
 def run_back_end(
@@ -47,7 +45,7 @@ def run_back_end(
     seed: int | None = None,
     time_limit_s: float = float("inf"),
     heartbeat: MutableSequence[float] | None = None,
-    on_frames_done: Callable[[Run], None] | None = None,
+    shared: SharedArrays | None = None,
     after_frame: AfterFrame | None = None,
 ) -> Run:
     """Feed every frame to a new back end and keep all it says.
@@ -55,12 +53,13 @@ def run_back_end(
     Never raises for what the back end does: a failure is the run's status and message, and the frames
     before it are kept. ``make`` gets the problem and nothing else; the back end never sees truth.
     ``heartbeat[0]`` is set to the monotonic time [s] of the start, ``heartbeat[1]`` to the frames done,
-    ``heartbeat[2]`` to the time when all of them were. ``on_frames_done`` then gets the online part, before
-    the back end is asked for anything more. ``after_frame`` is called between frames, and what it answers
-    becomes series of the run; such a run tells neither times nor memory, for both are disturbed.
+    ``heartbeat[2]`` to the time when all of them were, ``heartbeat[3]`` to the time when all was answered.
+    What is said goes into ``shared`` arrays frame by frame, where :func:`recovered` finds it if this process
+    is ended. ``after_frame`` is called between frames, and what it answers becomes series of the run; such a
+    run tells neither times nor memory, for both are disturbed.
     """
-    collected = _Collected(stream)
-    beat = [0.0, 0.0, 0.0] if heartbeat is None else heartbeat
+    collected = Collected(stream, shared)
+    beat = [0.0] * BEATS if heartbeat is None else heartbeat
     memory = PeakMemory()
     beat[0] = time.monotonic()
     back_end: BackEnd | None = None
@@ -94,8 +93,6 @@ def run_back_end(
         status, message = "diverged", bad
     if status == "ok" and back_end is not None:
         beat[2] = time.monotonic()
-        if on_frames_done is not None:
-            on_frames_done(run({}))
         finished = back_end
         status, message = _guarded(lambda: _ask_at_end(finished, stream, hindsight), collected)
         fault = _final_fault(hindsight) if status == "ok" else ""
@@ -104,17 +101,20 @@ def run_back_end(
             hindsight = {"final_s": hindsight.get("final_s", 0.0)}
         if after_frame is not None and "final_s" in hindsight:
             hindsight["final_s"] = float("nan")
+    beat[3] = time.monotonic()
     return run(hindsight)
 
 
-def _guarded(action: Callable[[], str | None], collected: _Collected) -> tuple[Status, str]:
+def _guarded(action: Callable[[], str | None], collected: Collected) -> tuple[Status, str]:
     """``ok`` with what the action says, or the status and message of what it raised."""
     try:
         return "ok", action() or ""
     except DivergedError as error:
-        return "diverged", f"{collected.where()}: {error}"
-    except (Exception, SystemExit) as error:
-        message = f"{collected.where()}: {describe(error)}"
+        return "diverged", told(f"{collected.where()}: {error}")
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        message = told(f"{collected.where()}: {describe(error)}")
         # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
         # or on a full disk there may be no log to write.
         with contextlib.suppress(Exception):
@@ -125,7 +125,7 @@ def _guarded(action: Callable[[], str | None], collected: _Collected) -> tuple[S
 def _feed(
     back_end: BackEnd,
     stream: MeasurementStream,
-    collected: _Collected,
+    collected: Collected,
     deadline: float,
     beat: MutableSequence[float],
     after_frame: AfterFrame | None,
@@ -135,7 +135,7 @@ def _feed(
     update, estimate = back_end.update, back_end.estimate
     diagnostics = back_end.diagnostics if isinstance(back_end, Diagnosed) else None
     if isinstance(back_end, Selective):
-        collected.kept = []
+        collected.keep_masks(stream)
     poses, covariances = collected.poses, collected.covariances
     update_s, estimate_s = collected.update_s, collected.estimate_s
     last = len(stream.frames) - 1
@@ -156,7 +156,7 @@ def _feed(
         if diagnostics is not None:
             collected.note(k, diagnostics())
         if collected.kept is not None:
-            collected.keep(frame, back_end)
+            collected.keep(k, frame, back_end)
         collected.done = k + 1
         beat[1] = k + 1
         if k % CHECK_EVERY == CHECK_EVERY - 1 and collected.first_bad() is not None:
@@ -164,93 +164,6 @@ def _feed(
         if after > deadline and k < last:
             return f"the time limit passed after frame {k} of {last}"
     return ""
-
-
-class _Collected:
-    """What a back end said, in arrays made before the first frame."""
-
-    def __init__(self, stream: MeasurementStream) -> None:
-        frames, n = len(stream.frames), stream.problem.sensor.space_dim
-        p = TANGENT_DIM[n]
-        self.t = np.array([frame.t for frame in stream.frames])
-        self.poses = np.full((frames, n + 1, n + 1), np.nan)
-        self.covariances = np.full((frames, p, p), np.nan)
-        self.update_s = np.zeros(frames)
-        self.estimate_s = np.zeros(frames)
-        self.series: dict[str, FloatArray] = {}
-        self.kept: list[BoolArray] | None = None
-        self.done = 0
-        self._checked = 0
-        self._fault: str | None = None
-
-    def note(self, k: int, values: Mapping[str, float]) -> None:
-        series = self.series
-        for name, value in values.items():
-            column = series.get(name)
-            if column is None:
-                column = series[name] = np.full(self.t.size, np.nan)
-            column[k] = value
-
-    def keep(self, frame: Frame, back_end: Any) -> None:
-        assert self.kept is not None
-        kept = np.array(back_end.kept_observations(), dtype=bool)
-        if kept.shape != frame.ids.shape:
-            raise ValueError(f"kept_observations() has shape {kept.shape}; {frame.ids.shape} is needed")
-        self.kept.append(kept)
-
-    def where(self) -> str:
-        return f"frame {self.done}" if self.done < self.t.size else "after the last frame"
-
-    def first_bad(self) -> str | None:
-        """Say what is wrong with the first unusable estimate and drop it with all that follows."""
-        start, end = self._checked, self.done
-        fault = first_fault(self.poses[start:end], self.covariances[start:end])
-        self._checked = end
-        if fault is not None and self._fault is None:
-            self.done = self._checked = start + fault[0]
-            self._fault = f"frame {self.done}: {fault[1]}"
-        return self._fault
-
-    def fields(self) -> dict[str, Any]:
-        done = slice(self.done)
-        return {
-            "online": Trajectory(self.t[done], self.poses[done], self.covariances[done]),
-            "update_s": self.update_s[done],
-            "estimate_s": self.estimate_s[done],
-            "diagnostics": {name: column[done] for name, column in self.series.items()},
-            "kept_observations": None if self.kept is None else tuple(self.kept[done]),
-        }
-
-
-def first_fault(poses: FloatArray, covariances: FloatArray) -> tuple[int, str] | None:
-    """Index and description of the first pose or covariance ``(K, p, p)`` that cannot be used.
-
-    A covariance may be singular (a start known exactly) but not indefinite beyond rounding; that is
-    judged on the correlation matrix, for metres and radians differ by orders of magnitude.
-    """
-    finite_pose = np.asarray(np.isfinite(poses).all(axis=(1, 2)))
-    finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
-    good = np.where(finite[:, None, None], covariances, 0.0)
-    sizes = np.abs(np.diagonal(good, axis1=1, axis2=2))
-    scale = 1.0 / np.sqrt(np.where(sizes > 0, sizes, 1.0))
-    correlation = good * scale[:, :, None] * scale[:, None, :]
-    skewness = np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(axis=(1, 2), initial=0.0)
-    symmetric = np.asarray(skewness < 1e-6)
-    smallest = np.linalg.eigvalsh(correlation)[:, 0]
-    bad = ~(finite_pose & finite & symmetric & (smallest >= INDEFINITE))
-    if not bad.any():
-        return None
-    k = int(np.argmax(bad))
-    if not finite_pose[k]:
-        return k, "the estimated pose is not finite"
-    if not finite[k]:
-        return k, "the estimated covariance is not finite"
-    if not symmetric[k]:
-        return k, "the estimated covariance is not symmetric"
-    return k, (
-        "the estimated covariance is not positive semi-definite "
-        f"(smallest eigenvalue of its correlation matrix {smallest[k]:.3g})"
-    )
 
 
 def _ask_at_end(back_end: BackEnd, stream: MeasurementStream, hindsight: dict[str, Any]) -> None:

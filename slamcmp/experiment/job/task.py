@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from slamcmp.experiment.config.record import Record
+
+BEATS = 5
+"""Numbers in a heartbeat: the time of the start, the frames done, the times of the last frame and of the last
+answer, and why there is no result."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,14 @@ class Task:
     """What to record besides."""
     own_gate: float | None = None
     """Probability of a gate by the back end's own covariance."""
+    code: Mapping[str, str] = field(default_factory=dict)
+    """sha256 of each source file that the result is named by, by absolute path."""
+    data: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """What each declared data file looked like when it was hashed."""
+    watched: bool = False
+    """Whether to note which other files are read: plug-ins of users do not declare them all."""
+    declared: bool = False
+    """Whether a user's source says which files it reads: its author vouches for what nobody sees."""
 
     @property
     def result(self) -> Path:
@@ -39,9 +51,9 @@ class Task:
         return (truth_path if self.kind == "stream" else run_path)(self.folder, self.key)
 
     @property
-    def online_part(self) -> Path:
-        """What a run leaves when its frames are done, for the case that it does not come to its end."""
-        return self.result.with_name(f".{self.key}.online.npz")
+    def log(self) -> Path:
+        """Where what it prints goes."""
+        return self.folder / "logs" / f"{self.key}.log"
 
 
 def run_path(folder: Path, key: str) -> Path:

@@ -11,8 +11,9 @@ from dataclasses import replace
 from typing import Any
 
 from slamcmp.backends.own_gate import OwnGate
-from slamcmp.errors import UsageError
+from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.job.make_stream import store_stream
+from slamcmp.experiment.job.planned import held_to_plan, inputs, require_unchanged
 from slamcmp.experiment.job.recorder import Recorder
 from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.experiment.job.task import Task, posteriors_path, stream_path, truth_path
@@ -21,17 +22,24 @@ from slamcmp.metrics import score_run
 from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends
 from slamcmp.results.posteriors import save_posteriors
-from slamcmp.results.run_file import StoredRun, load_truth, save_run
-from slamcmp.support.messages import describe
+from slamcmp.results.run_file import StoredRun, load_truth, save_run, truth_digest
+from slamcmp.support.messages import describe, told
 from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import GroundTruth, MeasurementStream, Problem, Run, Status
 
 
-def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
-    """Do one job.
+class LostStreamError(Exception):
+    """The file of the stream that a run is to be fed from is gone, or not what it was."""
+
+
+def perform(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None = None) -> None:
+    """Do one job; ``shared`` keeps what a run has done in case this process does not come to its end.
 
     Raises:
-        StorageError: the result cannot be written. Everything else becomes part of the result.
+        StorageError: the result cannot be written.
+        OutdatedError: what was loaded or read is not what the result would be named by.
+        LostStreamError: the stream of a run cannot be read. Everything else becomes part of the result.
     """
     # OpenCV is not imported here: only where a front end or a source has loaded it is there a pool to stop.
     cv2 = sys.modules.get("cv2")
@@ -41,48 +49,61 @@ def perform(task: Task, heartbeat: MutableSequence[float]) -> None:
         heartbeat[0] = time.monotonic()
         store_stream(task, heartbeat)
     else:
-        _run(task, heartbeat)
+        _run(task, heartbeat, shared)
 
 
-def _run(task: Task, heartbeat: MutableSequence[float]) -> None:
-    stream = load_stream(stream_path(task.folder, task.digest))
-    ((spec, parameters),) = task.plugins
-    plugin = back_ends.get(spec)
-    bound = bind_parameters(plugin, dict(parameters))
-    recorder = None if task.record is None else Recorder(task.record, len(stream.frames))
+def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None) -> None:
+    with held_to_plan(task) as opened:
+        file = stream_path(task.folder, task.digest)
+        try:
+            stream = load_stream(file)
+        except SlamcmpError as error:
+            # A damaged one too: the same command then makes it again.
+            with contextlib.suppress(OSError):
+                file.unlink(missing_ok=True)
+            raise LostStreamError(told(str(error))) from error
+        ((spec, parameters),) = task.plugins
+        plugin = back_ends.get(spec)
+        bound = bind_parameters(plugin, dict(parameters))
+        recorder = None if task.record is None else Recorder(task.record, len(stream.frames))
 
-    def make(problem: Problem) -> BackEnd:
-        _require_use_of_relative_poses(plugin, stream)
-        made = _make_back_end(plugin, problem, bound, task)
-        return made if recorder is None else recorder.begin(made)
+        def make(problem: Problem) -> BackEnd:
+            _require_use_of_relative_poses(plugin, stream)
+            made = _make_back_end(plugin, problem, bound, task)
+            return made if recorder is None else recorder.begin(made)
 
-    run = run_back_end(
-        make,
-        stream,
-        label=task.label,
-        parameters=parameters,
-        seed=task.seed,
-        time_limit_s=task.time_limit_s,
-        heartbeat=heartbeat,
-        on_frames_done=lambda online: save_run(StoredRun(online, {}, 1.0), task.online_part),
-        after_frame=None if recorder is None else recorder.after_frame,
-    )
+        run = run_back_end(
+            make,
+            stream,
+            label=task.label,
+            parameters=parameters,
+            seed=task.seed,
+            time_limit_s=task.time_limit_s,
+            heartbeat=heartbeat,
+            shared=shared,
+            after_frame=None if recorder is None else recorder.after_frame,
+        )
+    if run.status != "ok":
+        require_unchanged(task)
     if recorder is not None and recorder.posteriors:
         save_posteriors(recorder.posteriors, posteriors_path(task.folder, task.key))
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
-    save_run(scored(run, _truth(task)), task.result)
-    task.online_part.unlink(missing_ok=True)
+    save_run(replace(scored(run, _truth(task)), inputs=inputs(task, opened)), task.result)
 
 
 def scored(run: Run, truth: GroundTruth | None) -> StoredRun:
     """The run with its scores; where they cannot be computed, a crashed one that keeps its online part."""
+    return replace(_scored(run, truth), scored_against=truth_digest(truth))
+
+
+def _scored(run: Run, truth: GroundTruth | None) -> StoredRun:
     try:
         return StoredRun(run, score_run(run, truth), run.completion)
     except Exception as error:
         traceback.print_exc()
-        told = f"{run.message}; " if run.message else ""
+        before = f"{run.message}; " if run.message else ""
         status: Status = "crashed" if run.status == "ok" else run.status
-        message = f"{told}it could not be scored: {describe(error)}"
+        message = told(f"{before}it could not be scored: {describe(error)}")
     online = replace(run, status=status, message=message, final=None, landmarks=None, joint_covariance=None)
     scores: dict[str, float] = {}
     # Most faults lie in what was just left out.

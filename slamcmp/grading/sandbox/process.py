@@ -30,7 +30,14 @@ from {module} import main
 main({request}, {reply})
 """
 _WORKER = "slamcmp.grading.sandbox.worker"
-_CORE = ("slamcmp", "slamcmp.errors", "slamcmp.types", "slamcmp.protocols", "slamcmp.registry")
+_CORE = (
+    "slamcmp",
+    "slamcmp.errors",
+    "slamcmp.loaded_code",
+    "slamcmp.types",
+    "slamcmp.protocols",
+    "slamcmp.registry",
+)
 _ENVIRONMENT = {
     "PATH": "/usr/bin:/bin",
     "HOME": "/nonexistent",

@@ -1,0 +1,105 @@
+"""The body of a worker process: its log, its limits, and its end with all that it started."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Iterator, MutableSequence
+from multiprocessing import util
+from pathlib import Path
+from typing import Any
+
+from slamcmp.experiment.job.task import Task
+from slamcmp.support.process_tree import end_children, lead_group
+from slamcmp.support.shared_arrays import SharedArrays
+
+OUTDATED, LOST_STREAM, STORAGE_FAILED = 1, 2, 3
+"""Why there is no result, if it is not the back end's doing."""
+
+
+def work(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None, temporary: Path) -> None:
+    """Do one job and end this process."""
+    # Ctrl-C reaches the whole process group; the parent decides what ends.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    lead_group()
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+    from slamcmp.errors import StorageError
+    from slamcmp.experiment.job.planned import OutdatedError
+    from slamcmp.experiment.job.worker import LostStreamError, perform
+    from slamcmp.support.memory import limit_growth
+
+    code = 1
+    with _output_to_log(task):
+        _use_temporary_folder(temporary)
+        if task.memory_limit_mb is not None:
+            limit_growth(task.memory_limit_mb)
+        try:
+            perform(task, heartbeat, shared)
+            code = 0
+        except OutdatedError as error:
+            heartbeat[4] = OUTDATED
+            print(f"not what was planned: {error}", file=sys.stderr)
+        except LostStreamError:
+            heartbeat[4] = LOST_STREAM
+            traceback.print_exc()
+        except (StorageError, OSError) as error:
+            heartbeat[4] = STORAGE_FAILED
+            print(error, file=sys.stderr)
+        except BaseException:
+            # Here, while standard error still leads to the log.
+            traceback.print_exc()
+    with contextlib.suppress(Exception):
+        end_children()
+    getattr(util, "_run_finalizers", lambda _: None)(0)
+    # At once: a thread that was left behind has nobody to work for.
+    os._exit(code)
+
+
+def _follow(parent: Any) -> None:
+    """A worker whose parent died has nobody to work for."""
+    parent.join()
+    with contextlib.suppress(Exception):
+        end_children()
+    os._exit(1)
+
+
+def _use_temporary_folder(folder: Path) -> None:
+    """What is left there goes with the worker."""
+    with contextlib.suppress(OSError):
+        folder.mkdir(exist_ok=True)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+
+
+@contextlib.contextmanager
+def _output_to_log(task: Task) -> Iterator[None]:
+    """What a back end prints would tear the progress bar; it goes to logs/KEY.log, if there is any."""
+    path = task.log
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Appending: the parent may shorten the file meanwhile.
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+        descriptor = os.open(path, flags, 0o666)
+    except OSError:
+        descriptor = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+    os.close(descriptor)
+    faulthandler.enable(2)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        with contextlib.suppress(OSError):
+            if path.stat().st_size == 0:
+                path.unlink()

@@ -1,0 +1,389 @@
+"""A result is named by the code and the data that made it, also when they change while an experiment runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slamcmp.experiment.runner import run_experiment
+from slamcmp.experiment.schedule import Schedule
+from slamcmp.results.store import Results
+from slamcmp.support.code_version import PACKAGE
+from tests.conftest import PLUGINS
+
+HEADER = "from tests.user_plugins import DeadReckoning\nfrom pathlib import Path\nimport numpy as np\n"
+BACK_END = (
+    "class Mine(DeadReckoning):\n"
+    "    def update(self, frame):\n"
+    "        super().update(frame)\n"
+    "        self.T = self.T.copy()\n"
+    "        self.T[1, 2] = {value}\n"
+)
+KINDS: dict[str, dict[str, str]] = {
+    "the file itself": {"mine.py": HEADER + BACK_END.format(value="1.0"), "edited": "mine.py"},
+    "a neighbour": {
+        "mine.py": HEADER + "from helper import VALUE\n" + BACK_END.format(value="VALUE"),
+        "helper.py": "VALUE = 1.0\n",
+        "edited": "helper.py",
+    },
+    "a neighbour imported inside a function": {
+        "mine.py": HEADER
+        + BACK_END.format(value="late()")
+        + "def late():\n    import helper\n    return helper.VALUE\n",
+        "helper.py": "VALUE = 1.0\n",
+        "edited": "helper.py",
+    },
+    "a neighbour's neighbour in a package": {
+        "mine.py": HEADER + "from pack import VALUE\n" + BACK_END.format(value="VALUE"),
+        "pack/__init__.py": "from .inner import VALUE\n",
+        "pack/inner.py": "import importlib\nVALUE = importlib.import_module('deep').VALUE\n",
+        "deep.py": "VALUE = 1.0\n",
+        "edited": "deep.py",
+    },
+    "a resource that it reads": {
+        "mine.py": HEADER
+        + "VALUE = float((Path(__file__).parent / 'value.txt').read_text())\n"
+        + BACK_END.format(value="VALUE"),
+        "value.txt": "1.0\n",
+        "edited": "value.txt",
+    },
+    "a resource through numpy": {
+        "mine.py": HEADER
+        + "VALUE = float(np.loadtxt(Path(__file__).parent / 'value.txt'))\n"
+        + BACK_END.format(value="VALUE"),
+        "value.txt": "1.0\n",
+        "edited": "value.txt",
+    },
+}
+
+
+@pytest.fixture(params=list(KINDS))
+def folder(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Path]:
+    """A folder with an experiment, and the file of it that changes."""
+    files = dict(KINDS[request.param])
+    edited = files.pop("edited")
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    write(tmp_path, "mine.py:Mine")
+    return tmp_path, tmp_path / edited
+
+
+def write(folder: Path, back_end: str, source: str = f"{PLUGINS}:straight", **fields: object) -> Path:
+    path = folder / "e.yaml"
+    content = {"source": {"name": source}, "back_ends": [{"name": back_end}], **fields}
+    path.write_text(json.dumps(content))
+    return path
+
+
+def values(results: Results) -> dict[int, float]:
+    """What the code said, of each seed that has a result."""
+    last = results.frames.groupby("seed")["online_y"].last()
+    return {int(seed): float(value) for seed, value in last.items()}
+
+
+def test_what_changed_between_two_runs_is_noticed(folder: tuple[Path, Path]) -> None:
+    place, edited = folder
+    assert values(run_experiment(place / "e.yaml", folder=place / "r", jobs=1)) == {0: 1.0}
+    again = run_experiment(place / "e.yaml", folder=place / "r", jobs=1)
+    assert (again.manifest["jobs_run"], values(again)) == (0, {0: 1.0})
+    edited.write_text(edited.read_text().replace("1.0", "2.0"))
+    assert values(run_experiment(place / "e.yaml", folder=place / "r", jobs=1)) == {0: 2.0}
+
+
+def test_no_table_holds_two_codes(folder: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Edited after the first run of three, then the edit is taken back."""
+    place, edited = folder
+    path = write(place, "mine.py:Mine", seeds=3)
+    before, finish = edited.read_text(), Schedule._finish
+
+    def edit(self, ended) -> None:
+        finish(self, ended)
+        if ended.task.kind == "run":
+            edited.write_text(before.replace("1.0", "2.0"))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Schedule, "_finish", edit)
+        results = run_experiment(path, folder=place / "r", jobs=1)
+    missing = results.trials[results.trials["status"] == "missing"]
+    assert set(results.trials["status"]) == {"ok", "missing"}
+    assert results.manifest["jobs_missing"] == len(missing)
+    assert missing["message"].str.contains(edited.name).all()
+    assert len(set(values(results).values())) == 1
+    edited.write_text(before)
+    again = run_experiment(path, folder=place / "r", jobs=1)
+    assert list(again.trials["status"]) == ["ok"] * 3
+    assert values(again) == {0: 1.0, 1: 1.0, 2: 1.0}
+
+
+def test_file_that_is_broken_while_it_is_edited_is_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(
+        HEADER + BACK_END.format(value="late()") + "def late():\n    import helper\n    return 1.0\n"
+    )
+    (tmp_path / "helper.py").write_text("")
+    path = write(tmp_path, "mine.py:Mine", seeds=2)
+    finish = Schedule._finish
+
+    def edit(self, ended) -> None:
+        finish(self, ended)
+        if ended.task.kind == "run":
+            (tmp_path / "helper.py").write_text("def half(:\n")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Schedule, "_finish", edit)
+        results = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert list(results.trials["status"]) == ["ok", "missing"]
+    (tmp_path / "helper.py").write_text("")
+    assert set(run_experiment(path, folder=tmp_path / "r", jobs=1).trials["status"]) == {"ok"}
+
+
+def test_package_that_is_edited_between_two_runs_of_one_process(tmp_path: Path) -> None:
+    """As in a notebook: workers run the new text, and what runs in this process says that it is old."""
+    copy = tmp_path / "copy"
+    shutil.copytree(PACKAGE, copy / "slamcmp", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "e.yaml").write_text(
+        "source: {name: circle, steps: 8, landmarks: 3}\nback_ends: [{name: dead_reckoning}]\n"
+    )
+    script = tmp_path / "notebook.py"
+    script.write_text(
+        "import json, sys\nfrom pathlib import Path\n"
+        "from slamcmp.experiment.runner import run_experiment\n"
+        "def run(name, **options):\n"
+        "    found = run_experiment('e.yaml', folder=name, jobs=1, **options)\n"
+        "    x = float(found.frames['online_x'].iloc[-1]) if len(found.frames) else None\n"
+        "    return [found.trials['status'][0], x, found.trials['message'][0]]\n"
+        "told = [run('r'), run('serial', executor='serial')]\n"
+        "file = Path('copy/slamcmp/backends/dead_reckoning.py')\n"
+        "text = file.read_text()\n"
+        "new = text.replace('return Estimate(self._T,', 'return Estimate(self._T @ self._T,')\n"
+        "assert new != text, text\n"
+        "file.write_text(new)\n"
+        "told += [run('r'), run('serial', executor='serial')]\n"
+        "file.write_text(text)\n"
+        "told += [run('r'), run('serial', executor='serial')]\n"
+        "print(json.dumps(told))\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, script],
+        cwd=tmp_path,
+        env={**_environment(), "PYTHONPATH": str(copy)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert ran.returncode == 0, ran.stderr
+    first, serial, edited, serial_edited, back, serial_back = json.loads(ran.stdout)
+    assert first == serial == back == serial_back
+    assert first[0] == edited[0] == "ok"
+    assert abs(edited[1] - first[1]) > 0.1
+    assert serial_edited[0] == "missing"
+    assert "dead_reckoning.py" in serial_edited[2]
+    assert "start Python anew" in serial_edited[2]
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+
+
+SOURCE = """
+from pathlib import Path
+import numpy as np
+from slamcmp.geometry import se2
+from slamcmp.models.sensors import make_sensor
+from slamcmp.registry import sources
+from slamcmp.types import Detections, GroundTruth, Log, Problem
+{extra}
+
+def robot(bias):
+    steps = 10
+    t = np.arange(steps) * 1.0
+    increments = np.tile(np.eye(3), (steps, 1, 1))
+    increments[1:] = se2(1.0, 0.0, 0.0)
+    truth = np.array([se2((1.0 + bias) * k, 0.0, 0.0) for k in range(steps)])
+    Q = np.tile(np.diag([0.05, 0.05, 0.02]) ** 2, (steps, 1, 1))
+    Q[0] = 0.0
+    nothing = Detections(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0, int))
+    problem = Problem(np.eye(3), np.eye(3) * 1e-12, make_sensor("range_bearing", {{}}))
+    return Log("own", problem, t, increments, Q, (nothing,) * steps,
+               GroundTruth(t, truth, np.empty(0, int), np.empty((0, 2))))
+
+HERE = Path(__file__).parent
+
+{decorator}
+def recorded(seed=0, *, path: str = "data.csv"):
+    return robot({bias})
+"""
+"""Odometry too short by a number that is read; the stream does not hold it, only the truth does."""
+READERS = {
+    "pathlib": "float((HERE / path).read_text())",
+    "open": "float(open(HERE / path).read())",
+    "numpy": "float(np.loadtxt(HERE / path))",
+    "memory map": "float(bytes(np.memmap(HERE / path, dtype='u1', mode='r')).decode())",
+    "a relative path": "float(open(__import__('os').path.relpath(HERE / path)).read())",
+    "whatever lies in the folder": "sum(float(f.read_text()) for f in HERE.glob('*.csv'))",
+}
+
+
+def write_source(folder: Path, bias: str, extra: str = "", decorator: str = "") -> Path:
+    (folder / "own.py").write_text(SOURCE.format(bias=bias, extra=extra, decorator=decorator))
+    (folder / "data.csv").write_text("0.05\n")
+    return write(folder, f"{PLUGINS}:DeadReckoning", "own.py:recorded")
+
+
+def ate(results: Results) -> float:
+    return float(results.trials["online_ate"][0])
+
+
+EXPECTED = float(np.sqrt(np.mean((0.05 * np.arange(10)) ** 2)))
+
+
+@pytest.mark.parametrize("reader", list(READERS))
+def test_data_that_nobody_declared_is_noticed_when_it_changes(tmp_path: Path, reader: str) -> None:
+    path = write_source(tmp_path, READERS[reader])
+    first = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert ate(first) == pytest.approx(EXPECTED)
+    again = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert (again.manifest["jobs_run"], again.manifest["jobs_reused"]) == (0, 1)
+    (tmp_path / "data.csv").write_text("0.5\n")
+    changed = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert ate(changed) == pytest.approx(10 * EXPECTED)
+    assert changed.manifest["jobs_reused"] == 0
+    (tmp_path / "data.csv").write_text("0.05\n")
+    assert ate(run_experiment(path, folder=tmp_path / "r", jobs=1)) == pytest.approx(EXPECTED)
+
+
+def test_file_that_comes_later_is_noticed(tmp_path: Path) -> None:
+    extra = "def value(path):\n    try:\n        return float(open(path).read())\n"
+    extra += "    except OSError:\n        return 0.05\n"
+    path = write_source(tmp_path, "value(HERE / 'later.csv')", extra)
+    assert ate(run_experiment(path, folder=tmp_path / "r", jobs=1)) == pytest.approx(EXPECTED)
+    (tmp_path / "later.csv").write_text("0.5\n")
+    assert ate(run_experiment(path, folder=tmp_path / "r", jobs=1)) == pytest.approx(10 * EXPECTED)
+
+
+def test_new_file_in_a_folder_is_noticed(tmp_path: Path) -> None:
+    path = write_source(tmp_path, READERS["whatever lies in the folder"])
+    run_experiment(path, folder=tmp_path / "r", jobs=1)
+    (tmp_path / "more.csv").write_text("0.45\n")
+    assert ate(run_experiment(path, folder=tmp_path / "r", jobs=1)) == pytest.approx(10 * EXPECTED)
+
+
+@pytest.mark.parametrize(
+    "decorator",
+    [
+        '@sources.register("own", files=lambda path: [HERE / path])',
+        '@sources.register("own", files=["data.csv"])',
+        '@sources.register("own", files="data.csv")',
+    ],
+)
+def test_declared_files_are_part_of_the_key(tmp_path: Path, decorator: str) -> None:
+    """Through a library that nobody sees reading: what the author declares counts."""
+    path = write_source(tmp_path, READERS["open"], "import cv2\n", decorator)
+    first = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert not [text for text in first.manifest["warnings"] if "anew" in text]
+    assert run_experiment(path, folder=tmp_path / "r", jobs=1).manifest["jobs_run"] == 0
+    (tmp_path / "data.csv").write_text("0.5\n")
+    again = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert again.manifest["jobs_run"] == 2
+    assert ate(again) == pytest.approx(10 * EXPECTED)
+
+
+UNSEEN = {
+    "a library in C": ("import cv2", "float(cv2.imread(str(HERE / 'image.png'))[0, 0, 0]) / 100"),
+    "another program": (
+        "import subprocess",
+        "float(subprocess.check_output(['cat', str(HERE / path)]))",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", list(UNSEEN))
+def test_source_that_may_read_unseen_is_made_anew_each_time(tmp_path: Path, kind: str) -> None:
+    import cv2
+
+    extra, bias = UNSEEN[kind]
+    path = write_source(tmp_path, bias, extra)
+    cv2.imwrite(str(tmp_path / "image.png"), np.full((4, 4, 3), 5, np.uint8))
+    first = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert ate(first) == pytest.approx(EXPECTED)
+    assert any("files=" in text for text in first.manifest["warnings"])
+    again = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    # The stream is made again; as it is the same, its run stands.
+    assert (again.manifest["jobs_run"], again.manifest["jobs_reused"]) == (1, 1)
+    cv2.imwrite(str(tmp_path / "image.png"), np.full((4, 4, 3), 50, np.uint8))
+    (tmp_path / "data.csv").write_text("0.5\n")
+    assert ate(run_experiment(path, folder=tmp_path / "r", jobs=1)) == pytest.approx(10 * EXPECTED)
+
+
+def test_files_that_cannot_be_listed_are_one_clear_line(tmp_path: Path) -> None:
+    from slamcmp.errors import MissingDataError, UsageError
+
+    path = write_source(tmp_path, "0.05", decorator='@sources.register("own", files=lambda wrong: [])')
+    with pytest.raises(UsageError, match="its 'files' cannot be listed: TypeError"):
+        run_experiment(path, folder=tmp_path / "r", jobs=1)
+    path = write_source(tmp_path, "0.05", decorator='@sources.register("own", files=["gone.csv"])')
+    with pytest.raises(MissingDataError, match=r"there is no data file .*gone\.csv"):
+        run_experiment(path, folder=tmp_path / "r", jobs=1)
+
+
+def test_source_that_takes_no_seed_says_so(tmp_path: Path) -> None:
+    from slamcmp.errors import UsageError
+
+    path = write_source(tmp_path, "0.05", decorator='@sources.register("own", seeded=False)')
+    assert run_experiment(path, folder=tmp_path / "r", jobs=1).trials["seed"].isna().all()
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps({**content, "seeds": 12}))
+    with pytest.raises(UsageError, match="takes no seed"):
+        run_experiment(path, folder=tmp_path / "r", jobs=1)
+
+
+def test_two_users_files_with_neighbours_of_one_name(tmp_path: Path) -> None:
+    """A source and two back ends, each with a helper.py of its own, in one process and in several."""
+    for name, value in (("a", "1.0"), ("b", "2.0")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "helper.py").write_text(f"VALUE = {value}\n")
+        (tmp_path / name / "mine.py").write_text(
+            HEADER
+            + "import helper\n"
+            + BACK_END.format(value="helper.VALUE + late()")
+            + "def late():\n    import helper\n    return helper.VALUE\n"
+        )
+    path = tmp_path / "e.yaml"
+    back_ends = [{"name": f"{name}/mine.py:Mine", "label": name} for name in "ab"]
+    path.write_text(json.dumps({"source": {"name": f"{PLUGINS}:straight"}, "back_ends": back_ends}))
+    for executor in ("serial", "processes"):
+        results = run_experiment(path, folder=tmp_path / executor, jobs=1, executor=executor)
+        assert set(results.trials["status"]) == {"ok"}, list(results.trials["message"])
+        last = results.frames.groupby("label")["online_y"].last()
+        assert dict(last) == {"a": 2.0, "b": 4.0}
+
+
+def test_shipped_sources_read_only_what_they_declare(tmp_path: Path) -> None:
+    """What a shipped source opens is in its key: nobody watches it when it runs."""
+    from slamcmp.experiment.config.component import Component
+    from slamcmp.experiment.content_key import data_files
+    from slamcmp.experiment.job.make_stream import make_stream
+    from slamcmp.support.opened_files import OpenedFiles, watched
+
+    for name, parameters in (
+        ("circle", {"steps": 5}),
+        ("victoria_park", {}),
+        ("graph_file", {"path": "w100.graph"}),
+        ("kitti00_stereo", {"truth_optional": True}),
+    ):
+        source = Component("source", name, name, parameters)
+        # numpy, scipy and gtsam are loaded before; what is opened from then on is data.
+        make_stream(("circle", {"steps": 5}), ("labelled", {}), 0)
+        with watched(OpenedFiles()) as opened:
+            source.plugin().target(0, **parameters)
+        assert set(opened.inputs({})) <= {str(Path(path)) for path in data_files(source).stamps}
