@@ -13,7 +13,7 @@ import numpy as np
 
 from slamcmp.experiment.conformance.bench import Bench, blind, feed, reckoned, run
 from slamcmp.experiment.conformance.outcomes import SEEDS, SETTLED, Band, chi2_band, outcomes, spread_band
-from slamcmp.experiment.job.run_back_end import first_fault
+from slamcmp.experiment.job.collected import first_fault
 from slamcmp.geometry import adjoint_of_inverse, local
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.types import Estimate, FloatArray, GroundTruth, Landmarks, MeasurementStream, Trajectory
