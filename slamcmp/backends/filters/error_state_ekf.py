@@ -54,8 +54,8 @@ class ErrorStateEkf(LinearisingFilter):
         covariance: the verbs on P.
 
     Raises:
-        DivergedError: an innovation covariance is not positive definite or not finite, or most landmarks
-            that a camera sees are behind it.
+        DivergedError: an innovation covariance is not positive definite or not finite, most landmarks that a
+            camera sees are behind it, or the policy's points are far from the estimates.
     """
 
     trajectory: Callable[[], Trajectory]
@@ -161,7 +161,8 @@ class ErrorStateEkf(LinearisingFilter):
     def _correct(self, seen: Observed) -> None:
         landmarks = self._landmarks[seen.numbers]
         y = self._sensor.residual(seen.z, self._sensor.predict(self._T, landmarks)).ravel()
-        T_at, landmarks_at = self._policy.known(self._T, seen.numbers, landmarks)
+        T_at, landmarks_at = at = self._policy.known(self._T, seen.numbers, landmarks)
+        self._policy.require_near(self._P.frame, self._T, landmarks, at)
         self._points = T_at, landmarks_at, seen.numbers
         H = stacked(*self._jacobians(self._sensor, T_at, landmarks_at))
         touched = self._P.touch(seen.numbers, self._landmarks)

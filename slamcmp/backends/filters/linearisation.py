@@ -9,10 +9,20 @@ l - p = l_N - p_N. A policy that keeps this for every frame keeps the unobservab
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from slamcmp.errors import UsageError
+from slamcmp.errors import DivergedError, UsageError
 from slamcmp.types import FloatArray, GroundTruth, IntArray
+
+FARTHEST = 3.0
+"""How far points of linearisation may lie from the estimates, in units of the distance to the landmarks seen.
+
+A correction of the heading moves a landmark at r by as much as r is long, and was computed for r + d. Where
+it is wholly trusted it leaves |d| / |r + d| of what it should have removed: from |d| = |r| on it may help
+nothing, and at 3 |r| it can make three of one, frame after frame. Below that a filter lives, for no
+correction is wholly trusted (in the published loops of P2 first estimates lie up to twice as far off)."""
 
 Points = tuple[FloatArray, FloatArray]
 """A pose (n+1, n+1) and landmarks (m, n), or two poses."""
@@ -49,8 +59,39 @@ class LatestEstimate:
         """The same for landmarks that now join the state at ``landmarks`` (m, n); T is the mean now."""
         return T, landmarks
 
+    def require_near(self, k: int, T: FloatArray, landmarks: FloatArray, at: Points) -> None:
+        """Nothing: the newest estimate is its own point, and the truth no estimate's."""
 
-class FirstEstimates(LatestEstimate):
+
+class RememberedPoints(LatestEstimate):
+    """Points that stay behind when the estimates move on, and may be left too far behind."""
+
+    def __init__(self) -> None:
+        self._squares, self._sightings = 0.0, 0
+
+    def require_near(self, k: int, T: FloatArray, landmarks: FloatArray, at: Points) -> None:
+        """Compare where frame k's landmarks lie from the robot, by the points and by the estimates.
+
+        The distance to landmarks is the root-mean-square of all so far, by the points, which cannot diverge.
+
+        Raises:
+            DivergedError: root-mean-square, they differ by more than :data:`FARTHEST` times that distance.
+        """
+        T_at, landmarks_at = at
+        r_at = landmarks_at - T_at[:-1, -1]
+        self._squares += float((r_at**2).sum())
+        self._sightings += len(r_at)
+        d = r_at - (landmarks - T[:-1, -1])
+        distance = math.sqrt(self._squares / self._sightings)
+        apart = math.sqrt(float((d**2).sum()) / len(d))
+        if apart > FARTHEST * distance:
+            raise DivergedError(
+                f"frame {k}: first-estimate Jacobians are far from the estimates, {apart:.3g} m where "
+                f"landmarks are seen from {distance:.3g} m; the map has moved too far since they were taken"
+            )
+
+
+class FirstEstimates(RememberedPoints):
     """First-estimates Jacobians (Huang, Mourikis, Roumeliotis 2008): each variable only at its first one.
 
     Args:
@@ -61,6 +102,7 @@ class FirstEstimates(LatestEstimate):
     """
 
     def __init__(self, T: FloatArray, *, new_at_predicted: bool = True) -> None:
+        super().__init__()
         self._T_first = T
         self._landmarks = np.empty((0, T.shape[0] - 1))
         self._new_at_predicted = new_at_predicted
@@ -84,7 +126,7 @@ class FirstEstimates(LatestEstimate):
         return (self._T_first if self._new_at_predicted else T), landmarks
 
 
-class ObservabilityConstrained(LatestEstimate):
+class ObservabilityConstrained(RememberedPoints):
     """The points nearest to the newest estimates that keep the unobservable directions (OC-EKF 2010).
 
     Per frame, a shift s of the pose left behind and the landmarks' points l* minimise
@@ -93,6 +135,7 @@ class ObservabilityConstrained(LatestEstimate):
     """
 
     def __init__(self, T: FloatArray) -> None:
+        super().__init__()
         self._T_predicted = T
         self._null_position = T[:-1, -1].copy()
         self._null_landmarks = np.empty((0, T.shape[0] - 1))

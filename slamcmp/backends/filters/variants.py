@@ -49,7 +49,8 @@ class FirstEstimatesEkf(ErrorStateEkf):
     """First-estimates-Jacobian EKF-SLAM (Huang, Mourikis, Roumeliotis 2008).
 
     ``new_landmark_jacobian`` matters with ``update_first`` only: "predicted" keeps the gauge, "updated" is
-    how published code has it.
+    how published code has it. A map that has moved too far from its first estimates makes every correction
+    worse: the filter then gives up, and says so (linearisation.py).
     """
 
     def __init__(

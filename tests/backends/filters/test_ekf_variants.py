@@ -19,6 +19,11 @@ from slamcmp.backends.filters.charts import (
 )
 from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.backends.filters.iterated import IteratedEkf
+from slamcmp.backends.filters.linearisation import (
+    FirstEstimates,
+    LatestEstimate,
+    ObservabilityConstrained,
+)
 from slamcmp.backends.filters.robocentric import RobocentricEkf
 from slamcmp.backends.filters.variants import (
     FirstEstimatesEkf,
@@ -259,6 +264,40 @@ def test_lost_covariance_is_reported_with_its_frame() -> None:
     frame = next(frame for frame in stream.frames[10:] if 0 in [filter_._number[i] for i in frame.ids])
     with pytest.raises(DivergedError, match=f"frame {frame.k}: the innovation covariance"):
         filter_.update(frame)
+
+
+LOST = "first-estimate Jacobians are far from the estimates"
+
+
+def test_a_filter_that_left_its_first_estimates_behind_says_so() -> None:
+    """Twenty times the toy world's noise: left alone it goes to 2000 km, and the plain filter to 8 m."""
+    stream, _ = world_of(2, frames=140, landmarks=30, noise=20.0)
+    filter_ = FirstEstimatesEkf(stream.problem)
+    with pytest.raises(DivergedError, match=LOST):
+        run(filter_, stream)
+    assert np.linalg.norm(filter_.estimate().T_world_body[:2, 2]) < 100.0
+    run(WorldEkf(stream.problem), stream)
+
+
+@pytest.mark.parametrize("policy_class", [FirstEstimates, ObservabilityConstrained])
+@pytest.mark.parametrize("unit", [1.0, 100.0])
+def test_points_are_far_in_units_of_the_distance_to_landmarks(policy_class: Any, unit: float) -> None:
+    """Three times the 5 m at which landmarks are seen; no matter in what they are told."""
+    policy, T = policy_class(np.eye(3)), np.eye(3)
+    seen = unit * np.array([[4.0, 3.0], [-3.0, 4.0]])
+    off = unit * np.array([[9.0, 12.0]])
+    policy.require_near(0, T, seen + 0.99 * off, (T, seen))
+    with pytest.raises(DivergedError, match="frame 1: " + LOST):
+        policy.require_near(1, T, seen + 1.01 * off, (T, seen))
+    LatestEstimate().require_near(1, T, seen + 1.01 * off, (T, seen))
+
+
+def test_a_close_look_at_one_landmark_is_no_alarm() -> None:
+    """Half a metre between first and present estimate is nothing where landmarks are seen from metres."""
+    policy, T = FirstEstimates(np.eye(3)), np.eye(3)
+    away, near = np.array([[4.0, 3.0]]), np.array([[0.1, 0.0]])
+    policy.require_near(0, T, away, (T, away))
+    policy.require_near(1, T, near + 0.5, (T, near))
 
 
 class OneFrame:
