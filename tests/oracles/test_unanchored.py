@@ -172,3 +172,30 @@ def test_points_of_the_jacobians() -> None:
             np.testing.assert_allclose(at.landmarks_at, known.positions[rows], atol=1e-12)
             for i, point in zip(seen, fej.linearisation().landmarks_at, strict=True):
                 np.testing.assert_array_equal(first.setdefault(i, point), point)
+
+
+def test_a_windows_points_of_the_jacobians_are_the_predicted_pose_and_the_maps_means() -> None:
+    """A window of one pose, solved by one step, linearises where an EKF does."""
+    stream, _ = world_of(2)
+    window = SlidingWindow(stream.problem, window=1, iterations=1)
+    window.record_linearisation()
+    told = 0
+    for frame in stream.frames[:12]:
+        pose = window.estimate().T_world_body @ frame.T_prev_body if frame.k else None
+        known = {} if not frame.k else dict(zip(*window_map(window), strict=True))
+        window.update(frame)
+        seen = [i for i in frame.ids.tolist() if i in known]
+        if pose is None or len(seen) < frame.ids.size or not seen:
+            continue
+        at = window.linearisation()
+        np.testing.assert_allclose(at.T_world_body, pose, atol=1e-12)
+        np.testing.assert_allclose(at.landmarks_at, [known[i] for i in seen], atol=1e-12)
+        now = dict(zip(*window_map(window), strict=True))
+        np.testing.assert_array_equal(at.landmarks, [now[i] for i in seen])
+        told += 1
+    assert told > 3
+
+
+def window_map(window: SlidingWindow) -> tuple[list[int], np.ndarray]:
+    found = window.landmarks()
+    return found.ids.tolist(), found.positions

@@ -12,6 +12,7 @@ from slamcmp.backends.gtsam_smoothers.isam2 import Isam2
 from slamcmp.datasets.victoria_park import victoria_park
 from slamcmp.errors import DivergedError
 from slamcmp.frontend.labelled import labelled
+from slamcmp.geometry import adjoint_of_inverse
 from slamcmp.types import MeasurementStream
 from tests.backends.graph_streams import run
 from tests.toy_stream import toy_stream
@@ -115,6 +116,9 @@ def test_between_causal_solves_odometry_carries_the_estimate() -> None:
         carried = before.T_world_body @ frame.T_prev_body
         solved = frame.k % 4 == 0
         assert np.allclose(now, carried, rtol=0, atol=1e-14) is not solved
+        A = adjoint_of_inverse(frame.T_prev_body)
+        P = A @ before.P @ A.T + frame.Q
+        assert np.allclose(batch.estimate().P, P, rtol=1e-12, atol=0) is not solved
 
 
 def test_a_solution_is_forgotten_when_a_frame_comes() -> None:
