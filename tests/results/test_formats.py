@@ -29,7 +29,9 @@ SHORT = {
 
 def documented(page: str) -> dict[str, dict[str, str]]:
     """Units by table and column; those of every table are in each."""
-    sections = re.split(r"^## ", page, flags=re.MULTILINE)[1:]
+    # A second part of the page is about files that users bring.
+    results, _ = page.split("\n# Files of your own logs\n")
+    sections = re.split(r"^## ", results, flags=re.MULTILINE)[1:]
     found = {
         section.splitlines()[0]: {
             column: unit.strip()
