@@ -202,3 +202,21 @@ def test_a_spoilt_measurement_is_reported_as_divergence() -> None:
         msckf.update(Frame(frame.k, frame.t, frame.T_prev_body, frame.Q, frame.ids, z, frame.R))
     with pytest.raises(DivergedError, match=r"frame 5: .* the innovation not finite"):
         msckf.update(stream.frames[5])
+
+
+def test_poses_that_left_stay_in_the_trajectory_as_they_left() -> None:
+    stream, truth = passing_by(seed=2, sensor_name="range_bearing", frames=16)
+    msckf = Msckf(stream.problem, window=6)
+    for frame in stream.frames[:12]:
+        msckf.update(frame)
+    early = msckf.trajectory()
+    for frame in stream.frames[12:]:
+        msckf.update(frame)
+    late = msckf.trajectory()
+    assert early.t.tolist() == [frame.t for frame in stream.frames[:12]]
+    assert late.t.tolist() == [frame.t for frame in stream.frames]
+    # Of twelve poses six were in the window, or five where the next frame's place is free already.
+    np.testing.assert_array_equal(late.T_world_body[:6], early.T_world_body[:6])
+    np.testing.assert_array_equal(late.P[:6], early.P[:6])
+    errors = geometry.local(late.T_world_body, truth)
+    assert np.einsum("ki,kij,kj->k", errors[1:], np.linalg.inv(late.P[1:]), errors[1:]).mean() < 10.0
