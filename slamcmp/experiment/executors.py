@@ -205,7 +205,8 @@ class _Worker:
                 return None
             end_tree(self._pid)
             self.process.join()
-        return self._ended(late)
+            return self._ended(late, by_us=True)
+        return self._ended(late, by_us=False)
 
     def end(self) -> None:
         """End it, whatever it does."""
@@ -241,7 +242,7 @@ class _Worker:
             self._result_seen = time.monotonic()
         return time.monotonic() > self._result_seen + GRACE_S
 
-    def _ended(self, late: str) -> Ended:
+    def _ended(self, late: str, *, by_us: bool) -> Ended:
         self.over = True
         code, frames, reason = self.process.exitcode, int(self.heartbeat[1]), int(self.heartbeat[4])
         # Its children end with it, however it ended.
@@ -254,7 +255,7 @@ class _Worker:
         trim(self._log)
         if self.task.result.is_file():
             # The file is put in place as a whole and as the last thing: how the process ended then is a note.
-            note = f"afterwards {_death(code)}" if code and not late and self._result_seen is None else ""
+            note = f"afterwards {_death(code)}" if code and not by_us else ""
             if self._shared is not None:
                 self._shared.close()
             return Ended(self.task, frames_done=frames, note=note)

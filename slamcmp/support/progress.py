@@ -60,7 +60,8 @@ class _Unbreakable:
     def _tell(self, say: Callable[[], None]) -> None:
         try:
             say()
-        except (OSError, ValueError):
+        except (OSError, ValueError, SystemExit):
+            # rich ends the program at a broken pipe.
             self._watcher = Silent()
 
 
@@ -150,10 +151,10 @@ def watching(
         )
         progress = Progress(*columns, console=console, transient=True)
         # The terminal may be gone at either end.
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, SystemExit):
             progress.start()
         try:
             yield bars(progress, jobs)
         finally:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, SystemExit):
                 progress.stop()

@@ -89,7 +89,9 @@ def test_a_folder_of_data_is_found_beside_the_experiment(tmp_path: Path) -> None
     (tmp_path / "drive").mkdir()
     path = tmp_path / "e.yaml"
     path.write_text(
-        "source: {name: kitti_odometry, folder: drive}\nback_ends: [{name: ekf_slam}]\n", encoding="utf-8"
+        "source: {name: kitti_odometry, folder: drive}\nfront_end: {name: tracked_features}\n"
+        "back_ends: [{name: ekf_slam}]\n",
+        encoding="utf-8",
     )
     source = load_experiment(path).source
     assert source.parameters["folder"] == "drive"
