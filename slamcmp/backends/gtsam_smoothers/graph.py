@@ -156,6 +156,28 @@ class GraphBuilder:
             )
         return behind
 
+    def cost_without_image(self, graph: Any, values: Any, poses: FloatArray) -> tuple[float, int]:
+        """What observations of landmarks behind the camera add to chi-square, and their components.
+
+        It is GTSAM's constant and no residual: a fit is judged without it (poses (K, n+1, n+1): all so far).
+        """
+        if not isinstance(self._sensor, Camera):
+            return 0.0, 0
+        hidden = np.unique(self._hidden(values, poses)[0]).tolist()
+        frames = {pose_key(k): k for k in range(len(poses))}
+        chi2, rows = 0.0, 0
+        for landmark_id in hidden:
+            key, position = landmark_key(landmark_id), self.positions(values, [landmark_id])
+            for factor in (graph.at(index) for index in range(graph.size())):
+                keys = factor.keys()
+                if key not in keys:
+                    continue
+                k = next((frames[each] for each in keys if each in frames), None)
+                if k is not None and self._sensor.camera_point(poses[k], position)[0, 2] <= 0:
+                    chi2 += 2.0 * factor.error(values)
+                    rows += self._sensor.dim
+        return chi2, rows
+
     def bring_back(self, values: Any, poses: FloatArray) -> None:
         """Put landmarks that are behind a camera that saw them where they entered, seen from ``poses``.
 

@@ -134,9 +134,13 @@ class Isam2:
         )
         self._behind = self._builder.require_images(values, poses, "isam2")
         chi2, converged = self._final
+        dof = self._builder.goodness(chi2)["dof"]
+        if self._behind:
+            constant, rows = self._builder.cost_without_image(self._solver.graph(), values, poses)
+            chi2, dof = chi2 - constant, dof - rows
         require_fit(
             chi2,
-            self._builder.goodness(chi2)["dof"],
+            dof,
             self._max_chi2_per_dof,
             "isam2" if converged else "isam2, without convergence",
             "a smaller relinearize_threshold or relinearize_skip",
