@@ -79,10 +79,12 @@ class ConfigErrors:
     def raise_if_any(self) -> None:
         """Raise :class:`ConfigError` with every mistake, in the order of the file."""
         if self._found:
-            lines = [
-                f"{where}: {told(' or: '.join(messages), LINE_BYTES)}"
-                for (_, where), messages in sorted(self._found.items())
-            ]
+            texts = [(where, " or: ".join(found)) for (_, where), found in sorted(self._found.items())]
+            lines = [f"{where}: {told(text, LINE_BYTES)}" for where, text in texts]
+            if sum(map(_size, lines)) > LIMIT - 100:
+                # Rather all places with shorter texts than some of them with long ones.
+                share = (LIMIT - 100) // len(lines)
+                lines = [f"{where}: {told(text, max(100, share - _size(where)))}" for where, text in texts]
             shown = list(itertools.takewhile(_Room(LIMIT - 100).takes, lines)) or [told(lines[0])]
             more = len(lines) - len(shown)
             raise ConfigError([*shown, f"… and {more} more mistakes"] if more else shown)
@@ -95,8 +97,12 @@ class _Room:
         self._left = size
 
     def takes(self, line: str) -> bool:
-        self._left -= len(line.encode(errors="backslashreplace")) + 1
+        self._left -= _size(line)
         return self._left >= 0
+
+
+def _size(line: str) -> int:
+    return len(line.encode(errors="backslashreplace")) + 3
 
 
 def _wrong_value(path: KeyPath, error: ErrorDetails) -> str:

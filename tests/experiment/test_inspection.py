@@ -53,7 +53,7 @@ def test_the_fault_is_a_row_of_the_table(tmp_path: Path) -> None:
 def test_healthy_and_lost_runs_have_nothing_to_tell(
     write_experiment: Callable[..., Path], tmp_path: Path
 ) -> None:
-    path = write_experiment(back_ends=["DeadReckoning", "Raises", "IsKilled"])
+    path = write_experiment(back_ends=["DeadReckoning", "Raises", {"name": "IsKilled", "at": 0}])
     results = run_experiment(path, folder=tmp_path / "r", jobs=1)
     rows = results.trials.set_index("label")
     assert rows.loc["DeadReckoning", "diagnosis"] == ""
