@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from slamcmp.experiment.config.experiment import load_experiment
-from slamcmp.experiment.fork_server import warm_up
+from slamcmp.experiment.executors.fork_server import warm_up
 from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.experiment.runner import run_experiment

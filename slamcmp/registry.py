@@ -203,6 +203,6 @@ back_ends = Registry(
 )
 sensors = Registry("sensor", "slamcmp.models")
 metrics = Registry("metric", "slamcmp.metrics")
-executors = Registry("executor", "slamcmp.experiment")
+executors = Registry("executor", "slamcmp.experiment.executors")
 figures = Registry("figure", "slamcmp.report.figures")
 test_kinds = Registry("kind of test", "slamcmp.grading.kinds")

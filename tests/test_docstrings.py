@@ -27,6 +27,8 @@ WORD = re.compile(r"[A-Za-z_]\w*")
 KEY = re.compile(r"([a-z][\w.]*):\s")
 FOREIGN = {
     *("T_BS", "sequences", "u_left"),  # of recorded data sets
+    *("t_ms", "bearing_deg", "sigma_range_m"),  # columns as a user may head them
+    *("T_cn_cnm1", "camera_info", "cameras.txt"),  # of other programs' calibrations
     *("EDGE_SE3", "w100_30.g2o", "victoriaPark_reduced_1k.g2o", "cityTrees_reduced_1k.g2o"),  # of graph files
     *("seccomp_data", "unistd_64.h"),  # of Linux
     "fast",  # the extra in pyproject.toml

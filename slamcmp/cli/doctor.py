@@ -108,7 +108,7 @@ def _writable() -> str:
 
 
 def _machine() -> str:
-    from slamcmp.experiment.manifest import cpu_name
+    from slamcmp.experiment.gathering.manifest import cpu_name
     from slamcmp.experiment.runner import available_cores
     from slamcmp.support.memory import machine_memory_mb
 

@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     import pandas as pd
 
-    from slamcmp.experiment.plan import Plan
+    from slamcmp.experiment.planning.plan import Plan
     from slamcmp.results.store import Results
     from slamcmp.results.verdict import PublishedVerdict
 
@@ -46,14 +46,14 @@ def run(
     With published numbers in the file they stand beside the measured ones, with a verdict. The exit code is 1
     where a run failed, whatever the verdict is.
     """
-    from slamcmp.experiment.fork_server import warm_up
+    from slamcmp.experiment.executors.fork_server import warm_up
 
     if executor == "processes" and not dry_run:
         # It loads its modules while this process loads its own.
         warm_up()
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
-    from slamcmp.experiment.plan import plan_experiment
+    from slamcmp.experiment.planning.plan import plan_experiment
     from slamcmp.experiment.runner import Interrupted, run_experiment
 
     experiment = load_experiment(find_experiment(config))

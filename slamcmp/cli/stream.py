@@ -78,7 +78,7 @@ def _made(config: str, trial: int) -> tuple[MeasurementStream, Log]:
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.experiment.job.make_stream import make_stream
-    from slamcmp.experiment.trials import make_trials
+    from slamcmp.experiment.planning.trials import make_trials
 
     trials = make_trials(load_experiment(find_experiment(config)))
     if trial >= len(trials):

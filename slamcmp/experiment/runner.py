@@ -11,16 +11,16 @@ from typing import Any
 
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
-from slamcmp.experiment.executors import Executor
-from slamcmp.experiment.fault import OUTSIDE, Fault
+from slamcmp.experiment.executors.processes import Executor
+from slamcmp.experiment.gathering.manifest import describe_origin, now, require_same_experiment
+from slamcmp.experiment.gathering.tables import gather
+from slamcmp.experiment.job.fault import OUTSIDE, Fault
 from slamcmp.experiment.job.task import truth_path
-from slamcmp.experiment.manifest import describe_origin, now, require_same_experiment
-from slamcmp.experiment.plan import Plan, plan_experiment
-from slamcmp.experiment.samples import names_of
+from slamcmp.experiment.planning.plan import Plan, plan_experiment
+from slamcmp.experiment.planning.samples import names_of
+from slamcmp.experiment.planning.trials import Trial
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
-from slamcmp.experiment.tables import gather
-from slamcmp.experiment.trials import Trial
 from slamcmp.registry import executors
 from slamcmp.results.run_file import load_truth
 from slamcmp.results.store import Results, save_results

@@ -13,15 +13,15 @@ import numpy as np
 import slamcmp.errors
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
-from slamcmp.experiment.executors import Ended, Executor
-from slamcmp.experiment.fault import OUTSIDE, Fault
+from slamcmp.experiment.executors.processes import Ended, Executor
 from slamcmp.experiment.job.collected import recovered
+from slamcmp.experiment.job.fault import OUTSIDE, Fault
 from slamcmp.experiment.job.planned import changed_files, changed_stamp, loaded_before
 from slamcmp.experiment.job.task import Task, run_path, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
-from slamcmp.experiment.plan import Plan
-from slamcmp.experiment.samples import Samples
-from slamcmp.experiment.trials import RunJob, StreamJob, Trial
+from slamcmp.experiment.planning.plan import Plan
+from slamcmp.experiment.planning.samples import Samples
+from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial
 from slamcmp.results.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.atomic import storage_error
 from slamcmp.support.memory import machine_memory_mb

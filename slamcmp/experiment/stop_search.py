@@ -19,9 +19,9 @@ import numpy as np
 import pandas as pd
 
 from slamcmp.experiment.config.stop_rule import StopRule
+from slamcmp.experiment.gathering.tables import trial_truth
 from slamcmp.experiment.job.task import run_path, truth_path
-from slamcmp.experiment.tables import trial_truth
-from slamcmp.experiment.trials import Trial
+from slamcmp.experiment.planning.trials import Trial
 from slamcmp.metrics import score_run
 from slamcmp.metrics.statistics import Interval, median_interval, median_rank, paired_interval
 from slamcmp.results.run_file import load_run, load_truth, relabelled

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment, parse_experiment
-from slamcmp.experiment.manifest import require_same_experiment
+from slamcmp.experiment.gathering.manifest import require_same_experiment
 from slamcmp.support.code_source import CodeSource
 from slamcmp.support.messages import LIMIT
 from slamcmp.support.yaml_source import YamlSource

@@ -10,7 +10,7 @@ import pytest
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.schema import experiment_schema
-from slamcmp.experiment.trials import make_trials
+from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.support.config_errors import ConfigError
 
 GOOD = """\

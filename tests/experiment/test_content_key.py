@@ -9,8 +9,8 @@ import pytest
 from slamcmp.errors import MissingDataError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.content_key import data_files
+from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.trials import make_trials
 from slamcmp.registry import sources
 from slamcmp.support.code_version import PACKAGE, import_closure
 
@@ -28,7 +28,7 @@ def test_what_reports_is_no_part_of_what_computes() -> None:
     reached = import_closure([PACKAGE / "experiment" / "job" / "worker.py"])
     names = {path.name for path in reached}
     assert {"run_back_end.py", "worker.py", "run_file.py"} <= names
-    assert not names & {"runner.py", "cli.py", "progress.py", "store.py", "executors.py"}
+    assert not names & {"runner.py", "cli.py", "progress.py", "store.py", "processes.py"}
 
 
 def keys(path: Path) -> tuple[str, list[str]]:

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.experiment.executors import _remove_left_behind
+from slamcmp.experiment.executors.processes import _remove_left_behind
 from slamcmp.experiment.job import worker
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.store import load_results

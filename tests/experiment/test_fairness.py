@@ -17,14 +17,14 @@ import pytest
 from slamcmp.errors import DataError, SlamcmpError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.record import Record
-from slamcmp.experiment.fork_server import THREAD_VARIABLES
+from slamcmp.experiment.executors.fork_server import THREAD_VARIABLES
+from slamcmp.experiment.gathering.tables import gather
 from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.experiment.job.recorder import Recorder
 from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.experiment.job.task import run_path
+from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.tables import gather
-from slamcmp.experiment.trials import make_trials
 from slamcmp.frontend.labelled import labelled
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import metric_columns, score_run

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment import manifest
+from slamcmp.experiment.gathering import manifest
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.store import load_results
 

@@ -9,8 +9,8 @@ import pytest
 
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
+from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.experiment.trials import make_trials
 
 
 def drive(path: Path, seed: int) -> None:

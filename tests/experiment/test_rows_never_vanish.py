@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamcmp.experiment import tables
+from slamcmp.experiment.gathering import tables
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.results.run_file import load_run

@@ -13,7 +13,7 @@ import pytest
 
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment import runner
-from slamcmp.experiment.plan import plan_experiment
+from slamcmp.experiment.planning.plan import plan_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.results.run_file import load_truth, save_truth

@@ -17,7 +17,7 @@ from slamcmp.experiment import runner
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.schema import experiment_schema
 from slamcmp.experiment.config.stop_rule import StopRule
-from slamcmp.experiment.plan import plan_experiment
+from slamcmp.experiment.planning.plan import plan_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.stop_search import describe_stop, precisions, search_coverage

@@ -182,7 +182,7 @@ def test_swept_values_of_every_kind_are_found_in_stored_tables(
     values: list[Any], write_experiment: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Through the real writer of tables and Parquet, whatever a column makes of mixed values."""
-    from slamcmp.experiment.tables import _cell, _kinds
+    from slamcmp.experiment.gathering.tables import _cell, _kinds
 
     class Trial:
         def __init__(self, value: Any) -> None:

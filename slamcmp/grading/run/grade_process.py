@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from slamcmp.errors import SlamcmpError
-from slamcmp.experiment.fork_server import THREAD_VARIABLES
+from slamcmp.experiment.executors.fork_server import THREAD_VARIABLES
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, load_outcome, save_outcome
 from slamcmp.grading.sandbox.staging import own_prefix, remove_stale
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slamcmp.experiment.executors import Ended, Processes, Serial
+from slamcmp.experiment.executors.processes import Ended, Processes, Serial
 from slamcmp.experiment.job.task import Task
 from slamcmp.registry import SESSION, executors
 

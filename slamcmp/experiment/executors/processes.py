@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slamcmp.errors import SlamcmpError, StorageError
-from slamcmp.experiment.fork_server import no_main_module, refresh, warm_up
+from slamcmp.experiment.executors.fork_server import no_main_module, refresh, warm_up
 from slamcmp.experiment.job.process import LOST_STREAM, OUTDATED, STORAGE_FAILED, work
 from slamcmp.experiment.job.task import BEATS
 from slamcmp.registry import executors

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from slamcmp.errors import UsageError
-from slamcmp.experiment.trials import Trial
+from slamcmp.experiment.planning.trials import Trial
 
 
 class Samples:

@@ -13,11 +13,11 @@ import pandas as pd
 
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.component import Component
-from slamcmp.experiment.fault import Fault
-from slamcmp.experiment.inspection import FINDINGS, Inspector
+from slamcmp.experiment.gathering.inspection import FINDINGS, Inspector
+from slamcmp.experiment.job.fault import Fault
 from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
-from slamcmp.experiment.samples import Samples
-from slamcmp.experiment.trials import RunJob, Trial
+from slamcmp.experiment.planning.samples import Samples
+from slamcmp.experiment.planning.trials import RunJob, Trial
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.metrics.information import KL, last_kl, median_kl
 from slamcmp.results.of_runs import COST_COLUMNS, outcome

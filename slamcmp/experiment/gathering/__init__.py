@@ -1,0 +1,1 @@
+"""The stored runs of an experiment, put into tables with their manifest."""
