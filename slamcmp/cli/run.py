@@ -55,6 +55,7 @@ def run(
     from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.experiment.planning.plan import plan_experiment
     from slamcmp.experiment.runner import Interrupted, run_experiment
+    from slamcmp.support.interruption import ignore_further
 
     experiment = load_experiment(find_experiment(config))
     seeds = None if seed is None else [seed]
@@ -78,6 +79,8 @@ def run(
             command=" ".join(["slamcmp", *sys.argv[1:]]),
         )
     except Interrupted as error:
+        # A further Ctrl-C would cost the table and the message.
+        ignore_further()
         # The table now; figures and page take a while, and `slamcmp report` makes them when they are wanted.
         found, interruption, no_report = error.results, error, True
     from slamcmp.report import summary_table, write_report

@@ -45,3 +45,9 @@ def interruptions(*, raising: bool = False) -> Iterator[threading.Event]:
     finally:
         for number, known in before.items():
             signal.signal(number, known)
+
+
+def ignore_further() -> None:
+    """From here on none of them disturbs this process: an ended command has yet to tell what it has."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
