@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from slamcmp.grading.results.scoring import log_linear, relative_error
-from slamcmp.grading.run.trial import Implementation, Trial, Verdict
+from slamcmp.grading.run.trial import Trial, Verdict
 from slamcmp.grading.run.watched import Watched
-from slamcmp.grading.sandbox.answers import Answer
 from slamcmp.registry import test_kinds
-from slamcmp.types import Frame, Problem
 
 
 @test_kinds.register("swap_in")
@@ -56,26 +53,16 @@ def swap_in(
     return Verdict(credit, f"Put together, the result is {size}.{note}")
 
 
-class _Mixed:
+class _Mixed(Watched):
     """The student's functions where there are any."""
 
     def __init__(self, trial: Trial) -> None:
-        self._student: Implementation = Watched(trial.student, trial.reference)
-        self._reference = trial.reference
+        super().__init__(trial.student, trial.reference)
         self._replaced = frozenset(trial.missing)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        return (self._reference if name in self._replaced else self._student).call(name, *arguments)
-
-    def construct(
-        self, name: str, problem: Problem | None = None, parameters: Mapping[str, Any] | None = None
-    ) -> Any:
-        return self._student.construct(name, problem, parameters)
-
-    def step(
-        self, handle: Any, frame: Frame | None, *, landmarks: bool = False, joint_covariance: bool = False
-    ) -> Answer:
-        return self._student.step(handle, frame, landmarks=landmarks, joint_covariance=joint_covariance)
-
-    def cpu_s(self) -> float:
-        return self._student.cpu_s()
+        return (
+            self._reference.call(name, *arguments)
+            if name in self._replaced
+            else super().call(name, *arguments)
+        )
