@@ -46,6 +46,7 @@ _ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
+    "SLAMCMP_INSIDE_SANDBOX": "1",
     # The same order of sets in each run of the same submission.
     "PYTHONHASHSEED": "0",
 }
