@@ -57,15 +57,16 @@ def whitened_update(
     """A measurement update in units of its innovation's standard deviations, S = L L^T.
 
     Args:
-        S: innovation covariance, (k, k).
+        S: innovation covariance, (k, k); may be overwritten.
         PHt_t: (P H^T)^T, (k, states); may be overwritten.
         y: innovation, (k,).
 
     Returns:
-        L (k, k), lower triangular; W^T = L^-1 (P H^T)^T (k, states), where P loses W W^T; e = L^-1 y (k,),
-        by which the mean moves W e; and the NIS |e|², NaN where S is not positive definite or y not finite.
+        L (k, k), of which only the lower triangle counts; W^T = L^-1 (P H^T)^T (k, states), where P loses
+        W W^T; e = L^-1 y (k,), by which the mean moves W e; and the NIS |e|², NaN where S is not positive
+        definite or y not finite.
     """
-    L, failed = dpotrf(S, lower=1)
+    L, failed = dpotrf(S, lower=1, clean=0, overwrite_a=1)
     W_t, _ = dtrtrs(L, PHt_t, lower=1, overwrite_b=1)
     e, _ = dtrtrs(L, y, lower=1)
     # dpotrf lets NaN through; it always reaches the NIS.

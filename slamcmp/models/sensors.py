@@ -127,12 +127,14 @@ class RangeBearing:
         r2 = x * x + y * y
         r = np.sqrt(r2)
         z = np.empty_like(q)
-        z[..., 0], z[..., 1] = r, np.arctan2(y, x)
-        D = np.empty((*q.shape[:-1], 2, 2))
-        D[..., 0, :] = q / r[..., None]
-        D[..., 1, 0], D[..., 1, 1] = -y / r2, x / r2
+        z[..., 0] = r
+        np.arctan2(y, x, out=z[..., 1])
+        D = np.empty((*q.shape, 2))
+        np.divide(q, r[..., None], out=D[..., 0, :])
+        np.divide(-y, r2, out=D[..., 1, 0])
+        np.divide(x, r2, out=D[..., 1, 1])
         H_pose = np.zeros((*q.shape[:-1], 2, 3))
-        H_pose[..., :2] = -D
+        np.negative(D, out=H_pose[..., :2])
         # Turning on the spot changes no range and turns every bearing back by the same angle.
         H_pose[..., 1, 2] = -1.0
         R_t = np.swapaxes(T_world_body[..., :-1, :-1], -1, -2)

@@ -75,9 +75,11 @@ class JointCovariance:
 
     def touch(self, numbers: IntArray, landmarks: FloatArray) -> IntArray:
         """States (c,) of the pose and of these landmarks (m,) of the map ``landmarks`` (L, size)."""
-        size = landmarks.shape[1]
-        states = (size * numbers)[:, None] + np.arange(self._p, self._p + size)
-        return np.concatenate([self._pose_states, states.ravel()])
+        m, size, p = numbers.size, landmarks.shape[1], self._p
+        states = np.empty(p + m * size, dtype=np.int64)
+        states[:p] = self._pose_states
+        np.add((size * numbers)[:, None], np.arange(p, p + size), out=states[p:].reshape(m, size))
+        return states
 
     def states(self, touched: IntArray) -> IntArray:
         """Places in P of the states that ``touch`` told."""
@@ -102,11 +104,13 @@ class JointCovariance:
             to += size
         return columns
 
-    def propagate(self, A: FloatArray, Q: FloatArray) -> None:
-        """Move the pose: P_xx = A P_xx A^T + Q, P_mx = P_mx A^T."""
+    def propagate(self, A: FloatArray | None, Q: FloatArray | None) -> None:
+        """Move the pose: P_xx = A P_xx A^T + Q, P_mx = P_mx A^T; None: A is the identity, Q zero."""
         n, p = self._n, self._p
         P = self._buffer
-        if self._full:
+        if A is None:
+            P_xx = self.pose_block()
+        elif self._full:
             rows = A @ P[:p]
             P_xx = rows[:, :p] @ A.T
             P[:p] = rows
@@ -114,7 +118,8 @@ class JointCovariance:
         else:
             P_xx = A @ self.pose_block() @ A.T
             P[p:n, :p] = P[p:n, :p] @ A.T
-        P_xx += Q
+        if Q is not None:
+            P_xx += Q
         P[:p, :p] = 0.5 * (P_xx + P_xx.T)
 
     def inflate(self, W_t: FloatArray) -> None:
@@ -236,11 +241,22 @@ def block_diagonal(blocks: FloatArray) -> FloatArray:
     return matrix.reshape(m * a, m * b)
 
 
+def stacked(H_pose: FloatArray, H_land: FloatArray) -> FloatArray:
+    """H (m d, p + m n) of the pose's (m, d, p) and the landmarks' (m, d, n) derivatives, block by block."""
+    m, d, n = H_land.shape
+    p = H_pose.shape[2]
+    H = np.zeros(m * d * (p + m * n))
+    H[_diagonal_entries(m, d, n, p)] = H_land.ravel()
+    H = H.reshape(m * d, p + m * n)
+    H[:, :p] = H_pose.reshape(m * d, p)
+    return H
+
+
 @lru_cache(maxsize=256)
-def _diagonal_entries(m: int, a: int, b: int) -> IntArray:
-    """Flat positions of the blocks' entries; the same few shapes come back every frame."""
+def _diagonal_entries(m: int, a: int, b: int, left: int = 0) -> IntArray:
+    """Flat positions of the blocks' entries, ``left`` columns from the border; a few shapes recur."""
     block, row, column = np.ogrid[:m, :a, :b]
-    entries: IntArray = ((block * a + row) * (m * b) + block * b + column).ravel()
+    entries: IntArray = ((block * a + row) * (left + m * b) + left + block * b + column).ravel()
     return entries
 
 

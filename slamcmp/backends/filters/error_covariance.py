@@ -37,7 +37,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariance import JointCovariance, stacked
 from slamcmp.backends.filters.postponed import PostponedCovariance
 from slamcmp.backends.whitening import whitened_update
 from slamcmp.errors import DivergedError
@@ -58,13 +58,12 @@ class StackedJacobian:
     """
 
     def __init__(self, H_pose: FloatArray, H_land: FloatArray) -> None:
-        self._H_pose = H_pose.reshape(-1, H_pose.shape[2])
-        self._H_land = H_land
+        self._H_pose, self._H_land = H_pose, H_land
         self._H_t = self.dense().T if len(H_land) < BLOCKWISE_FROM else None
 
     def dense(self) -> FloatArray:
         """H (m d, p + m n) as a matrix."""
-        return np.concatenate([self._H_pose, block_diagonal(self._H_land)], axis=1)
+        return stacked(self._H_pose, self._H_land)
 
     def times(self, X: FloatArray) -> FloatArray:
         """H X (m d, s) for X (p + m n, s)."""
@@ -73,9 +72,9 @@ class StackedJacobian:
             HX: FloatArray = (X.T @ self._H_t).T
             return HX
         m, d, n = self._H_land.shape
-        p = self._H_pose.shape[1]
+        p = self._H_pose.shape[2]
         HX = np.matmul(self._H_land, X[p:].reshape(m, n, -1)).reshape(m * d, -1)
-        HX += self._H_pose @ X[:p]
+        HX += self._H_pose.reshape(m * d, p) @ X[:p]
         return HX
 
 
@@ -183,7 +182,6 @@ class ErrorCovariance:
         """Of the frame so far: y^T S^-1 y and the number of its components."""
         self._n = n
         self._pose_states = np.arange(storage.size)
-        self._same, self._no_noise = np.eye(storage.size), np.zeros((storage.size, storage.size))
         self.frame = -1
         """Number of the frame in progress."""
         self._listeners: tuple[Listener, ...] = ()
@@ -226,7 +224,7 @@ class ErrorCovariance:
         if D is not None:
             self._joint.turn_landmarks(D)
         if F is not None or Q is not None:
-            self.storage.propagate(self._same if F is None else F, self._no_noise if Q is None else Q)
+            self.storage.propagate(F, Q)
         if W is not None:
             self._joint.inflate(W.T)
         if self._listeners:

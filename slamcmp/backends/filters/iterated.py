@@ -23,10 +23,10 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from slamcmp.backends.filters.charts import WorldChart
-from slamcmp.backends.filters.covariance import block_diagonal
+from slamcmp.backends.filters.covariance import block_diagonal, stacked
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
 from slamcmp.backends.filters.linearisation import LatestEstimate
-from slamcmp.backends.filters.map_filter import Observed, stacked
+from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.geometry import so3_left_jacobian
 from slamcmp.registry import back_ends

@@ -161,11 +161,6 @@ class LinearisingFilter(MapFilter):
         return Linearisation(root, scale, T_at, landmarks_at, self._landmarks[numbers])
 
 
-def stacked(H_pose: FloatArray, H_land: FloatArray) -> FloatArray:
-    """H without its zero columns, (m d, p + m n): pose first, then the landmarks seen, block by block."""
-    return np.concatenate([H_pose.reshape(-1, H_pose.shape[2]), block_diagonal(H_land)], axis=1)
-
-
 def sandwich(A: FloatArray | None, P: FloatArray) -> FloatArray:
     """A P A^T, exactly symmetric; None is the identity."""
     if A is None:

@@ -121,8 +121,8 @@ class PostponedCovariance:
         """Columns of the near part of P, with the rows of u, for ``states`` from ``touch``."""
         return self._near.columns(states, size)
 
-    def propagate(self, A: FloatArray, Q: FloatArray) -> None:
-        """Move the pose: P_xx = A P_xx A^T + Q, P_mx = P_mx A^T."""
+    def propagate(self, A: FloatArray | None, Q: FloatArray | None) -> None:
+        """Move the pose: P_xx = A P_xx A^T + Q, P_mx = P_mx A^T; None: A is the identity, Q zero."""
         self._near.propagate(A, Q)
 
     def augment(self, G: FloatArray, N: FloatArray) -> None:

@@ -25,11 +25,11 @@ from scipy.linalg import block_diag
 
 from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.filters.charts import RobocentricChart
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal, stacked
 from slamcmp.backends.filters.error_covariance import ErrorCovariance, Growth, Joining, Leaving
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import LatestEstimate
-from slamcmp.backends.filters.map_filter import Observed, stacked
+from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.geometry import exp, inverse, right_jacobian, transform
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, Frame, IntArray, Problem
