@@ -130,17 +130,17 @@ class RangeBearing:
         z[..., 0] = r
         np.arctan2(y, x, out=z[..., 1])
         D = np.empty((*q.shape, 2))
-        np.divide(q, r[..., None], out=D[..., 0, :])
+        np.divide(x, r, out=D[..., 0, 0])
+        np.divide(y, r, out=D[..., 0, 1])
         np.divide(-y, r2, out=D[..., 1, 0])
         np.divide(x, r2, out=D[..., 1, 1])
         H_pose = np.zeros((*q.shape[:-1], 2, 3))
         np.negative(D, out=H_pose[..., :2])
         # Turning on the spot changes no range and turns every bearing back by the same angle.
         H_pose[..., 1, 2] = -1.0
-        R_t = np.swapaxes(T_world_body[..., :-1, :-1], -1, -2)
-        if R_t.ndim == 2:
-            return z, H_pose, (D.reshape(-1, 2) @ R_t).reshape(D.shape)
-        return z, H_pose, D @ R_t
+        if T_world_body.ndim == 2:
+            return z, H_pose, (D.reshape(-1, 2) @ T_world_body[:-1, :-1].T).reshape(D.shape)
+        return z, H_pose, D @ np.swapaxes(T_world_body[..., :-1, :-1], -1, -2)
 
     def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
         y = z - z_predicted

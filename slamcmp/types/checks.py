@@ -29,7 +29,7 @@ def frozen(value: Any, name: str, shape: tuple[int | None, ...], dtype: Any = np
         raise DataError(f"{name}: shape {array.shape} where {wanted} is needed")
     if array.flags.writeable:
         array = array.copy()
-        array.flags.writeable = False
+        array.setflags(write=False)
     return array
 
 

@@ -42,6 +42,8 @@ class JointCovariance:
     def __init__(self, P: FloatArray) -> None:
         self._p = P.shape[0]
         self._pose_states = np.arange(self._p)
+        self._landmark_states = np.empty((0, 1), dtype=np.int64)
+        """Each landmark's places in P, (L, size); as of the last ``touch``."""
         self._n = self._p
         self._full = True
         self._buffer = np.array(P, dtype=np.float64, order="C")
@@ -75,11 +77,10 @@ class JointCovariance:
 
     def touch(self, numbers: IntArray, landmarks: FloatArray) -> IntArray:
         """States (c,) of the pose and of these landmarks (m,) of the map ``landmarks`` (L, size)."""
-        m, size, p = numbers.size, landmarks.shape[1], self._p
-        states = np.empty(p + m * size, dtype=np.int64)
-        states[:p] = self._pose_states
-        np.add((size * numbers)[:, None], np.arange(p, p + size), out=states[p:].reshape(m, size))
-        return states
+        n, p = self._n, self._p
+        if len(self._landmark_states) * landmarks.shape[1] != n - p:
+            self._landmark_states = np.arange(p, n).reshape(-1, landmarks.shape[1])
+        return np.concatenate([self._pose_states, self._landmark_states[numbers].ravel()])
 
     def states(self, touched: IntArray) -> IntArray:
         """Places in P of the states that ``touch`` told."""
