@@ -40,6 +40,8 @@ class LimitFields(BaseModel):
     load_s: float = Field(10, gt=0, description="Time to import the submission")
     request_s: float = Field(5, gt=0, description="Time for one call or frame")
     test_s: float = Field(60, gt=0, description="Time for one test")
+    grader_s: float = Field(60, gt=0, description="Processor time of the grader itself for one test")
+    grader_mb: float = Field(256, ge=64, description="Memory that the grader itself may take for answers")
 
 
 class TestFields(BaseModel):

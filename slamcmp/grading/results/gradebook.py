@@ -46,6 +46,8 @@ def gradebook_csv(rows: Sequence[GradebookRow]) -> str:
         cells: list[str | float] = [row.student, "", "", row.ended, row.submission, "", ""]
         if outcome is not None:
             graded = row.ended if outcome.complete or row.ended != "ok" else "incomplete"
+            if missed := [test.number for test in outcome.tests if not test.judged]:
+                graded += f"; look at test {', '.join(missed)}: the grader failed there"
             notes = " | ".join(outcome.notes)
             found = {(test.number, test.name): rounded(test.score) for test in outcome.tests}
             cells[1:] = [total(outcome.tests), total(outcome.tests, of="max_score"), graded]

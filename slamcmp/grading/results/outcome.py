@@ -62,6 +62,8 @@ class TestOutcome:
     """Seeds, numbers and tracebacks; never for the student."""
     seconds: float
     plots: tuple[Plot, ...] = ()
+    judged: bool = True
+    """False: the grader itself failed at this test, and the staff has to look at it."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ def load_outcome(path: Path) -> GradeOutcome:
     try:
         if (found := content.pop("format")) != FORMAT:
             raise DataError(f"{path}: format {found}, written by another version of slamcmp; grade again")
-        content["tests"] = tuple(_test(test) for test in content["tests"])
+        content["tests"] = tuple(test_of(test) for test in content["tests"])
         content["leaderboard"] = tuple(tuple(row) for row in content["leaderboard"])
         content["notes"] = tuple(content["notes"])
         return GradeOutcome(**content)
@@ -130,7 +132,12 @@ def load_outcome(path: Path) -> GradeOutcome:
         raise DataError(f"{path}: is no outcome of a grading ({error})") from error
 
 
-def _test(content: dict[str, Any]) -> TestOutcome:
+def test_of(content: dict[str, Any]) -> TestOutcome:
+    """A test from its fields as JSON gives them.
+
+    Raises:
+        KeyError, TypeError: these are no fields of a test.
+    """
     return TestOutcome(**{**content, "plots": tuple(_plot(plot) for plot in content["plots"])})
 
 

@@ -29,7 +29,7 @@ def as_array(answer: Any, shape: tuple[int, ...], what: str) -> FloatArray:
     """
     try:
         array = np.asarray(answer, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = None
     if answer is None:
         raise StudentError("TypeError", f"{what} is None; is a return statement missing?")

@@ -189,7 +189,7 @@ def _alike(first: Any, second: Any) -> bool:
 def _numbers(value: Any) -> FloatArray | None:
     try:
         return None if value is None else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
 
 

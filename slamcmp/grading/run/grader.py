@@ -6,54 +6,22 @@ import contextlib
 import importlib.metadata
 import platform
 import time
-import traceback
-import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
-
-import numpy as np
 
 import slamcmp
-from slamcmp.errors import SlamcmpError
-from slamcmp.grading.assignment.description import (
-    Assignment,
-    Mutant,
-    TestSpec,
-    find_assignment,
-    load_assignment,
-)
-from slamcmp.grading.assignment.seeds import check_secret, hidden_generator
+from slamcmp.grading.assignment.description import Assignment, find_assignment, load_assignment
+from slamcmp.grading.assignment.seeds import check_secret
 from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
-from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus, save_outcome
-from slamcmp.grading.run.diagnosis import contradicted, explain, functions_asked
-from slamcmp.grading.run.implementations import (
-    Remembered,
-    Remembering,
-    SandboxedImplementation,
-    TrustedImplementation,
-)
+from slamcmp.grading.results.outcome import GradeOutcome, save_outcome
+from slamcmp.grading.run.implementations import Remembered, SandboxedImplementation
+from slamcmp.grading.run.judge import Judge, Runner, Sides, without_points
+from slamcmp.grading.run.judging_process import Apart, Here
 from slamcmp.grading.run.source_reader import read_source, told
-from slamcmp.grading.run.trial import Implementation, Trial, Verdict
-from slamcmp.grading.sandbox.errors import (
-    ProtocolViolation,
-    SandboxError,
-    SandboxUnavailable,
-    StudentCrashed,
-    StudentError,
-    StudentTimeout,
-)
 from slamcmp.grading.sandbox.session import SandboxSession
 
-RIGHT = 1 - 1e-9
-"""Credit from which a test counts as passed."""
 _OUTPUT_KEPT = 2000
-_SINGLE_CALLS = ("unit", "jacobian")
-"""Kinds of test that ask for single calls, each from the reference's state."""
-
-Sides = tuple[Implementation, Callable[[], Implementation] | None]
 
 
 def grade(
@@ -99,24 +67,10 @@ def grade(
     return grading.run(Sandboxed(assignment, submission, accept_weak_sandbox), keep)
 
 
-class Runner(Protocol):
-    """Somebody's code, started anew for each test."""
-
-    digest: str
-    missing: tuple[str, ...]
-    notes: tuple[str, ...]
-    """What the student has to know before the tests."""
-    level: str
-    proofs: Mapping[str, str]
-    output: str
-    """What the last test printed."""
-
-    def open(self) -> AbstractContextManager[Sides]:
-        """The code's side of a test, and a function that starts the reference in like surroundings."""
-
-
 class Sandboxed:
     """A submission, to be run in a new sandbox for each test."""
+
+    apart = True
 
     def __init__(self, assignment: Assignment, submission: Submission, accept_weak: bool) -> None:
         self._assignment = assignment
@@ -162,13 +116,11 @@ class Grading:
     student: str
     secret: bytes
     _replays: dict[tuple[str, str], list[Remembered]] = field(default_factory=dict, repr=False)
-    _asked: list[tuple[TestSpec, Remembering]] = field(default_factory=list, repr=False)
-    """What the submission under way answered in the tests up to now."""
 
     def refused(self, reason: str) -> GradeOutcome:
         """The outcome of a submission that cannot be run: no points, and why."""
         tests = tuple(
-            self._outcome(number, spec, "failed", 0.0, f"Not run: {reason}", "", 0.0)
+            without_points(number, spec, "failed", f"Not run: {reason}")
             for number, spec in enumerate(self.assignment.tests, start=1)
         )
         return replace(self._start(), complete=True, tests=tests, notes=(reason,))
@@ -185,162 +137,22 @@ class Grading:
         started = time.monotonic()
         outcome = replace(self._start(), submission_digest=submission.digest, notes=submission.notes)
         shares: dict[str, float] = {}
-        self._asked.clear()
-        for number, spec in enumerate(self.assignment.tests, start=1):
-            test, verdict = self._test(number, spec, submission, shares)
-            shares[spec.fields.name] = test.score / test.max_score
-            # Everybody reads the leaderboard: a value of a hidden test would tell how that one went.
-            visible = spec.fields.visibility == "visible"
-            rank = verdict.leaderboard if verdict is not None and visible else ()
-            outcome = replace(
-                outcome,
-                complete=number == len(self.assignment.tests),
-                tests=(*outcome.tests, test),
-                sandbox_level=submission.level,
-                proofs=submission.proofs,
-                seconds=time.monotonic() - started,
-                leaderboard=(*outcome.leaderboard, *rank),
-            )
-            yield outcome
-
-    def _test(
-        self, number: int, spec: TestSpec, submission: Runner, shares: Mapping[str, float]
-    ) -> tuple[TestOutcome, Verdict | None]:
-        after = spec.fields.after
-        if after is not None and shares[after] < 0.5:
-            message = f"Run once the test {after!r} has earned half of its points."
-            return self._outcome(number, spec, "skipped", 0.0, message, "", 0.0), None
-        started = time.monotonic()
-        verdict: Verdict | None = None
-        status: TestStatus = "failed"
-        credit, detail = 0.0, ""
-        remembering: Remembering | None = None
-        try:
-            with submission.open() as (implementation, reference_side):
-                remembering = Remembering(implementation)
-                self._asked.append((spec, remembering))
-                trial = self.trial(spec, remembering, reference_side, submission.missing)
-                verdict = spec.plugin.target(trial, **spec.parameters)
-            assert verdict is not None
-            credit, message, detail = verdict.credit, verdict.message, verdict.detail
-        except StudentTimeout as error:
-            status, message = "timed_out", f"{error}. Is there a loop that does not end?"
-        except (StudentCrashed, ProtocolViolation) as error:
-            status, message = "error", str(error)
-        except StudentError as error:
-            message = _raised(error)
-        except SandboxUnavailable:
-            raise
-        except SandboxError as error:
-            status, message = "error", str(error)
-        except (SlamcmpError, MemoryError):
-            raise
-        except Exception as error:
-            # An answer that no check foresaw costs this test only.
-            status, message = "error", "Your answer could not be used by this test."
-            detail = "".join(traceback.format_exception(error))
-        if not np.isfinite(credit):
-            credit = 0.0
-        credit = min(max(credit, 0.0), 1.0)
-        if credit >= RIGHT:
-            credit, status = 1.0, "passed"
-        elif credit > 0:
-            status = "partial"
-        if status in ("failed", "partial") and remembering is not None:
-            causes: list[str] = []
-            try:
-                causes = self.causes(spec, remembering)
-            except Exception as error:
-                # Without an explanation the marks still stand.
-                detail += "".join(traceback.format_exception(error))
-            hint = [spec.fields.hint] if spec.fields.hint and not causes else []
-            message = "\n".join([*causes, message, *hint])
-        if submission.output:
-            detail += f"\nprinted:\n{submission.output}"
-        seconds = time.monotonic() - started
-        plots = verdict.plots if verdict is not None else ()
-        test = self._outcome(number, spec, status, credit, message, detail.strip(), seconds)
-        return replace(test, plots=plots), verdict
-
-    def trial(
-        self,
-        spec: TestSpec,
-        student: Implementation,
-        reference_side: Callable[[], Implementation] | None = None,
-        missing: tuple[str, ...] = (),
-        *,
-        short: bool = False,
-    ) -> Trial:
-        """What the test's kind is given."""
-        return Trial(
-            student=student,
-            reference=TrustedImplementation(self.assignment.solution()),
-            cases=self.assignment.cases,
-            seeded=lambda: hidden_generator(
-                self.secret, self.assignment.name, self.student, spec.fields.name
-            ),
-            sandboxed_reference=reference_side,
-            missing=missing,
-            short=short,
-        )
-
-    def causes(self, spec: TestSpec, answered: Remembering) -> list[str]:
-        """Why the answers are wrong, as far as the known mistakes tell.
-
-        A mistake that earlier tests speak against (it would have spoilt an answer that was right) is none.
-        """
-        asked = functions_asked(answered.answers)
-        known = (
-            (mutant.message, self._replay(spec, mutant))
-            for mutant in self.assignment.mutants
-            if mutant.touches(asked) and not self._spoken_against(mutant, spec)
-        )
-        return explain(answered.answers, self._replay(spec, None), known)
-
-    def _spoken_against(self, mutant: Mutant, spec: TestSpec) -> bool:
-        return any(
-            contradicted(self._replay(earlier, mutant), answered.answers, self._replay(earlier, None))
-            for earlier, answered in self._asked
-            if earlier is not spec and earlier.fields.kind in _SINGLE_CALLS
-            if mutant.touches(functions_asked(answered.answers))
-        )
-
-    def _replay(self, spec: TestSpec, mutant: Mutant | None) -> list[Remembered]:
-        """What the reference, or the reference with a mistake, answers in a test; run once."""
-        key = spec.fields.name, mutant.name if mutant else ""
-        if key not in self._replays:
-            module = self.assignment.mutated(mutant) if mutant else self.assignment.solution()
-            remembering = Remembering(TrustedImplementation(module))
-            # A mutant may fail in any way that a submission may; what it answered before that counts, and
-            # its warnings are nobody's.
-            with contextlib.suppress(Exception), warnings.catch_warnings(action="ignore"):
-                spec.plugin.target(self.trial(spec, remembering, short=True), **spec.parameters)
-            self._replays[key] = remembering.answers
-        return self._replays[key]
-
-    def _outcome(
-        self,
-        number: int,
-        spec: TestSpec,
-        status: TestStatus,
-        credit: float,
-        message: str,
-        detail: str,
-        seconds: float,
-    ) -> TestOutcome:
-        fields = spec.fields
-        return TestOutcome(
-            number=str(number),
-            name=fields.name,
-            kind=fields.kind,
-            status=status,
-            score=credit * fields.points,
-            max_score=fields.points,
-            visibility=fields.visibility,
-            message=message,
-            staff_detail=detail,
-            seconds=seconds,
-        )
+        judge = Judge(self.assignment, self.student, self.secret, submission, self._replays)
+        with Apart(judge, self.assignment.fields.limits) if submission.apart else Here(judge) as judging:
+            for number, spec in enumerate(self.assignment.tests, start=1):
+                judged = judging.judged(number, spec, shares)
+                test = judged.test
+                shares[spec.fields.name] = test.score / test.max_score
+                outcome = replace(
+                    outcome,
+                    complete=number == len(self.assignment.tests),
+                    tests=(*outcome.tests, test),
+                    seconds=time.monotonic() - started,
+                    leaderboard=(*outcome.leaderboard, *judged.leaderboard),
+                )
+                if test.judged:
+                    outcome = replace(outcome, sandbox_level=judged.level, proofs=judged.proofs)
+                yield outcome
 
     def _start(self) -> GradeOutcome:
         return GradeOutcome(
@@ -359,10 +171,3 @@ class Grading:
                 **{name: importlib.metadata.version(name) for name in ("numpy", "scipy")},
             },
         )
-
-
-def _raised(error: StudentError) -> str:
-    if error.type_name == "NotImplementedError":
-        where = f" ({error.frames[-1].function})" if error.frames else ""
-        return f"Not implemented yet{where}."
-    return error.text

@@ -21,7 +21,7 @@ from slamcmp.types import Frame, Problem
 REMEMBERED = 4000
 """Answers kept for a diagnosis."""
 REMEMBERED_BYTES = 32 << 20
-"""Of their arrays."""
+"""Of their arrays, unless said otherwise."""
 
 
 class TrustedImplementation:
@@ -123,10 +123,13 @@ class Remembered:
 class Remembering:
     """Passes everything on and keeps the answers in their order."""
 
-    def __init__(self, inner: Implementation, limit: int = REMEMBERED) -> None:
+    def __init__(
+        self, inner: Implementation, limit: int = REMEMBERED, bytes_max: int = REMEMBERED_BYTES
+    ) -> None:
         self._inner = inner
         self._limit = limit
-        self._bytes_left = REMEMBERED_BYTES
+        self._bytes_max = bytes_max
+        self._bytes = 0
         self.answers: list[Remembered] = []
 
     def call(self, name: str, *arguments: Any) -> Any:
@@ -164,9 +167,15 @@ class Remembering:
     def cpu_s(self) -> float:
         return self._inner.cpu_s()
 
+    @property
+    def bytes_kept(self) -> int:
+        """Of the arrays that are kept."""
+        return min(self._bytes, self._bytes_max)
+
     def _keep(self, name: str, arguments: Sequence[Any], answer: Any) -> None:
-        self._bytes_left -= sum(np.asarray(leaf).nbytes for _, leaf in leaves([list(arguments), answer]))
-        if len(self.answers) < self._limit and self._bytes_left > 0:
+        self._bytes += sum(np.asarray(leaf).nbytes for _, leaf in leaves([list(arguments), answer]))
+        # Calls are known by their number: nothing is kept behind one that was too large.
+        if len(self.answers) < self._limit and self._bytes <= self._bytes_max:
             self.answers.append(Remembered(name, tuple(arguments), answer))
 
 

@@ -18,8 +18,9 @@ from slamcmp.grading.assignment.description import Assignment, find_assignment, 
 from slamcmp.grading.assignment.idle import idle_submissions
 from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.results.outcome import GradeOutcome
-from slamcmp.grading.run.grader import RIGHT, Grading, Runner, Sandboxed, Sides
+from slamcmp.grading.run.grader import Grading, Sandboxed
 from slamcmp.grading.run.implementations import TrustedImplementation
+from slamcmp.grading.run.judge import RIGHT, Runner, Sides
 
 IDLE_SHARE = 0.02
 """Most that a submission without work may earn, of all points."""
@@ -36,6 +37,7 @@ class GateFinding:
 class InProcess:
     """The course's own code graded without a sandbox; never for a submission."""
 
+    apart = False
     level = "none"
     output = ""
     digest = ""

@@ -108,7 +108,7 @@ def _numbers(value: Any, what: str, shape: tuple[int, ...]) -> FloatArray:
         raise StudentError("TypeError", f"{what} is None; is a return statement missing?")
     try:
         return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         kind = type(value).__name__
         raise StudentError("TypeError", f"{what} is {kind}; an array of shape {shape} is needed") from error
 

@@ -40,7 +40,7 @@ def read_answer(fields: Any, want: list[str]) -> Answer:
                 made[name] = joint
             else:
                 made[name] = kinds[name](**fields[name])
-        except (DataError, ValueError, TypeError, KeyError, IndexError) as error:
+        except (DataError, ValueError, TypeError, KeyError, IndexError, OverflowError) as error:
             raise StudentError(
                 type(error).__name__, f"{name}() returned what cannot be used: {error}"
             ) from error

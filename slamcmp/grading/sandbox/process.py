@@ -21,9 +21,11 @@ from slamcmp.grading.sandbox.policy import Policy, Readable
 from slamcmp.grading.sandbox.proofs import Targets
 
 ROOT = str(Path(slamcmp.__file__).parent.parent)
+# The grader's own limit of memory is not the worker's, which sets one once it has loaded its modules.
 # The sites are named because a path file that leads to one may not be readable, as in bubblewrap.
 _BOOT = """
-import sys
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, 2 * resource.getrlimit(resource.RLIMIT_AS)[1:])
 sys.path.insert(0, {root!r})
 sys.path += [site for site in {sites!r} if site not in sys.path]
 from {module} import main

@@ -91,7 +91,8 @@ def _pack(value: Any, arrays: list[NDArray[Any]], depth: int) -> Any:
                 return kind(value)
         return None
     if isinstance(value, np.generic) and value.dtype.kind in "fiub":
-        return value.item()
+        # Not item(): a long double's is a long double.
+        return {"f": float, "b": bool}.get(value.dtype.kind, int)(value)
     if isinstance(value, np.ndarray):
         arrays.append(_plain(value))
         return {"a": len(arrays) - 1}

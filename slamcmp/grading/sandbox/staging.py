@@ -69,6 +69,14 @@ def own_prefix() -> str:
     return f"{_PREFIX}{os.getpid()}-"
 
 
+def remove_of(pid: int) -> None:
+    """Remove the folders of a process of ours that was killed."""
+    with os.scandir(tempfile.gettempdir()) as entries:
+        for entry in entries:
+            if entry.name.startswith(f"{_PREFIX}{pid}-"):
+                shutil.rmtree(entry.path, ignore_errors=True)
+
+
 def remove_stale() -> None:
     """Remove what a grader that was killed has left, once it is old and its process is gone."""
     with os.scandir(tempfile.gettempdir()) as entries:
