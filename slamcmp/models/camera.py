@@ -76,6 +76,8 @@ class Camera(ABC):
         self.cx_px, self.cy_px = float(cx_px), float(cy_px)
         self.T_body_camera = mounting
         self.T_camera_body = inverse(mounting)
+        self._focal_px = np.array([self.fx_px, self.fy_px])
+        self._centre_px = np.array([self.cx_px, self.cy_px])
 
     @property
     def K(self) -> FloatArray:
@@ -97,9 +99,12 @@ class Camera(ABC):
 
     def project(self, q: FloatArray) -> FloatArray:
         """Pixels (..., 2) of points (..., 3) in the camera frame; NaN where the depth is not positive."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = np.where(q[..., 2:] > 0, 1.0 / q[..., 2:], np.nan)
-        pixels: FloatArray = q[..., :2] * scale * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px]
+        z = q[..., 2:]
+        # Where the depth is not positive NaN is divided by: there is nothing to warn of.
+        scale = 1.0 / (z if z.size and z.min() > 0 else np.where(z > 0, z, np.nan))
+        pixels: FloatArray = q[..., :2] * scale
+        pixels *= self._focal_px
+        pixels += self._centre_px
         return pixels
 
     def rays(self, pixels: FloatArray) -> FloatArray:

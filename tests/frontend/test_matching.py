@@ -11,7 +11,7 @@ from slamcmp.errors import UsageError
 from slamcmp.frontend.vision.degeneracy import Geometry
 from slamcmp.frontend.vision.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features, extract_features, match_features, precision_recall
-from slamcmp.frontend.vision.matching import hamming_distances, match_descriptors
+from slamcmp.frontend.vision.matching import hamming_distances, match_candidates, match_descriptors
 from tests.frontend.photographs import photograph
 from tests.frontend.two_views import K, two_views
 
@@ -158,3 +158,22 @@ def test_precision_and_recall_by_hand() -> None:
     precision, recall = precision_recall(np.zeros(2, bool), np.zeros(2, bool))
     assert np.isnan(precision)
     assert np.isnan(recall)
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_candidates_match_as_the_table_of_all_pairs_with_a_mask_does(seed: int, ratio: float) -> None:
+    rng = np.random.default_rng(seed)
+    # Few different bits: equal distances are common.
+    first = rng.integers(0, 4, (40, 32), dtype=np.uint8) * (np.arange(32) < 3).astype(np.uint8)
+    second = np.concatenate([first[rng.permutation(40)[:25]], first[:20] ^ 1])
+    allowed = rng.uniform(size=(40, 45)) < (0.0, 0.02, 0.1, 0.3, 0.8, 1.0)[seed]
+    expected = match_descriptors(first, second, ratio=ratio, allowed=allowed)
+    found = match_candidates(first, second, *np.nonzero(allowed), ratio=ratio)
+    np.testing.assert_array_equal(found.pairs, expected.pairs)
+    np.testing.assert_array_equal(found.distance, expected.distance)
+    assert (found.tried, found.not_mutual, found.ambiguous) == (
+        expected.tried,
+        expected.not_mutual,
+        expected.ambiguous,
+    )

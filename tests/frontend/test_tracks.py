@@ -109,12 +109,18 @@ def test_windows_contain_what_the_exact_distance_says() -> None:
         tracks, SINGLE, history, (320, 240), sigma_px=0.5, depth_min_m=0.5, widest_px=25.0
     )
     pixels = np.random.default_rng(5).uniform([0, 0], [319, 239], (400, 2))
-    near = windows.near(pixels, 30.0)
-    m, n = near.shape
-    which, pixel = np.divmod(np.arange(m * n), n)
-    exact = windows.distances(which, pixels[pixel]).reshape(m, n) <= 30.0
-    np.testing.assert_array_equal(near, exact)
-    assert near.sum() > 100
+    exact = []
+    for row, (start, along) in enumerate(zip(windows.start, windows.along, strict=True)):
+        L = np.linalg.cholesky(windows.covariance[row])
+        off, line = np.linalg.solve(L, (pixels - start).T).T, np.linalg.solve(L, along)
+        share = np.clip(off @ line / max(line @ line, 1e-12), 0.0, 1.0)
+        squared = ((off - share[:, None] * line) ** 2).sum(axis=1)
+        every = np.full(len(pixels), row)
+        np.testing.assert_allclose(windows.distances(every, pixels), squared, rtol=1e-9, atol=1e-9)
+        exact += [(row, pixel) for pixel in np.flatnonzero(squared <= 30.0).tolist()]
+    which, pixel = windows.near(pixels, 30.0)
+    assert list(zip(which.tolist(), pixel.tolist(), strict=True)) == exact
+    assert len(exact) > 100
 
 
 def test_a_ray_is_looked_for_from_infinity_to_the_smallest_depth() -> None:

@@ -32,16 +32,16 @@ def common_motion(
     d = y.shape[1]
     weighted = np.linalg.solve(S, np.concatenate([H, y[:, :, None]], axis=2))
     weighted_H, weighted_y = weighted[:, :, :6], weighted[:, :, 6]
-    each_A = (np.swapaxes(H, 1, 2) @ weighted_H).reshape(-1, 36)
-    each_b = (np.swapaxes(H, 1, 2) @ weighted_y[:, :, None])[:, :, 0]
+    each_A = (H.mT @ weighted_H).reshape(-1, 36)
+    each_b = (H.mT @ weighted_y[:, :, None])[:, :, 0]
     # One product for all matches, not one for each.
     flat_H, flat_weighted_H = H.reshape(-1, 6), weighted_H.reshape(-1, 6)
     flat_y, flat_weighted_y = y.ravel(), weighted_y.ravel()
     xi, w = np.zeros(6), np.ones(len(y))
-    covariance = Q
+    covariance, identity = Q, np.eye(6)
     for _ in range(_ROUNDS):
         # Solved without Q's inverse, for it may be singular.
-        A = np.eye(6) + Q @ (w @ each_A).reshape(6, 6)
+        A = identity + Q @ (w @ each_A).reshape(6, 6)
         covariance = np.asarray(np.linalg.solve(A, Q), dtype=np.float64)
         xi = covariance @ (w @ each_b)
         squared = (flat_y - flat_H @ xi) * (flat_weighted_y - flat_weighted_H @ xi)

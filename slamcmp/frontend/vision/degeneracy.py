@@ -9,6 +9,7 @@ only F is withheld.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -202,16 +203,18 @@ def _which_homography(
 
 def _distinct(first: FloatArray, second: FloatArray) -> int:
     """How many different matches there are, at least."""
-    columns = np.unique(first[:, 0]).size
+    columns = len(set(first[:, 0].tolist()))
     # Eight different columns settle it; comparing whole rows takes a tenth of the time of RANSAC.
     return columns if columns >= fundamental.SAMPLE else len(np.unique(np.hstack([first, second]), axis=0))
 
 
 def _is_collinear(points: FloatArray, threshold_px: float) -> bool:
     """Whether all points lie within the threshold of one line, by their smaller principal deviation."""
-    off = points - points.mean(axis=0)
-    smaller = np.linalg.eigvalsh(off.T @ off / len(points))[0]
-    return bool(smaller < (0.5 * threshold_px) ** 2)
+    x, y = (points - points.mean(axis=0)).T
+    (xx, xy, yy) = (float(a @ b) / len(points) for a, b in ((x, x), (x, y), (y, y)))
+    # The smaller eigenvalue of the 2×2 covariance, as determinant over the larger: without cancellation.
+    larger = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+    return not larger > 0.0 or (xx * yy - xy * xy) / larger < (0.5 * threshold_px) ** 2
 
 
 def _unit_rays(points: FloatArray, K: FloatArray) -> FloatArray:

@@ -53,15 +53,14 @@ def _earlier_view(
     """
     shown, before = np.empty(0, np.int64), np.empty((0, 2))
     view_back, view_pixel = tracks.view_back[rows], tracks.view_pixel[rows]
-    view_ray = camera.rays(view_pixel)
+    view_ray, R = camera.rays(view_pixel), history.camera_motion(camera)[:, :3, :3]
     for back in range(1, min(VIEWS, len(history.T_view))):
-        candidates, view = np.nonzero(view_back == back)
+        candidates, view = (view_back == back).nonzero()
         if len(candidates) < max(_SHARE_MIN * len(shown), _MATCHES_MIN):
             break
         shown, before = candidates, view_pixel[candidates, view]
-        turned = (camera.T_camera_body @ history.T_view[back] @ camera.T_body_camera)[:3, :3]
-        parallax = np.hypot(*(now[shown] - camera.project(view_ray[candidates, view] @ turned)).T)
-        if _median(parallax) >= _PARALLAX_PX:
+        parallax = (now[shown] - camera.project(view_ray[candidates, view] @ R[back])).T
+        if _median(np.hypot(*parallax)) >= _PARALLAX_PX:
             break
     return shown, before
 

@@ -68,6 +68,47 @@ def match_descriptors(
     )
 
 
+def match_candidates(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    here: IntArray,
+    there: IntArray,
+    *,
+    ratio: float = 0.8,
+) -> Matches:
+    """:func:`match_descriptors` where few pairs may match, without a table of all.
+
+    The pairs are ``here`` (p,) in the first image, sorted, and ``there`` (p,) in the second: near predicted
+    places one in thirty.
+    """
+    if not here.size:
+        return Matches(np.empty((0, 2), np.int64), np.empty(0, np.int64), 0, 0, 0)
+    a = np.ascontiguousarray(first).view(np.uint64).take(here, axis=0)
+    b = np.ascontiguousarray(second).view(np.uint64).take(there, axis=0)
+    distance = np.bitwise_count(a ^ b).sum(axis=1, dtype=np.int64)
+    begins = np.concatenate([[0], (here[1:] != here[:-1]).nonzero()[0] + 1])
+    # Distance and index in one number: of equal distances the first index is the smaller.
+    ranked = distance * len(second) + there
+    closest, best = np.divmod(np.minimum.reduceat(ranked, begins), len(second))
+    rows = here[begins]
+    wanted_by = np.full(len(second), np.iinfo(np.int64).max)
+    np.minimum.at(wanted_by, there, distance * len(first) + here)
+    passed = wanted_by[best] % len(first) == rows
+    after_mutual = int(passed.sum())
+    if ratio < 1.0:
+        lengths = np.diff(begins, append=here.size)
+        others = np.where(there == np.repeat(best, lengths), _NEVER, distance)
+        passed &= closest < ratio * np.minimum.reduceat(others, begins)
+    kept = passed.nonzero()[0]
+    return Matches(
+        np.stack([rows[kept], best[kept]], axis=-1),
+        closest[kept],
+        len(rows),
+        len(rows) - after_mutual,
+        after_mutual - kept.size,
+    )
+
+
 def hamming_distances(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """How many bits differ, for every pair, (n, m).
 

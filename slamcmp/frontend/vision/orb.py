@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from itertools import repeat
 from typing import Any
 
 import cv2
@@ -52,38 +53,42 @@ def describe(image: NDArray[np.uint8], xy: FloatArray) -> Description:
         return _NOTHING
     angle = intensity_centroid_angles(image, xy[chosen])
     size = float(2 * RADIUS_PX + 1)
+    x, y = nearest[chosen].T.tolist()
     # The last argument names each corner, for OpenCV may drop some.
-    keypoints = [
-        cv2.KeyPoint(x, y, size, a, 0.0, 0, i)
-        for i, (x, y, a) in enumerate(zip(*nearest[chosen].T.tolist(), angle.tolist(), strict=True))
-    ]
-    keypoints, descriptors = _orb().compute(image, keypoints)
+    named = map(cv2.KeyPoint, x, y, repeat(size), angle.tolist(), repeat(0.0), repeat(0), range(chosen.size))
+    keypoints, descriptors = _orb().compute(image, tuple(named))
     if descriptors is None:
         return _NOTHING
-    survivors = np.array([keypoint.class_id for keypoint in keypoints], dtype=np.int64)
-    return Description(chosen[survivors], angle[survivors], np.asarray(descriptors))
+    if len(keypoints) < chosen.size:
+        survivors = np.array([keypoint.class_id for keypoint in keypoints], dtype=np.int64)
+        chosen, angle = chosen[survivors], angle[survivors]
+    return Description(chosen, angle, np.asarray(descriptors))
 
 
 def intensity_centroid_angles(image: NDArray[np.uint8], xy: FloatArray) -> FloatArray:
     """Angles [deg] in [0, 360) of the intensity centroid about pixels (n, 2), at least 15 px inside."""
     side = 2 * RADIUS_PX + 1
-    patches = np.lib.stride_tricks.sliding_window_view(image, (side, side))
+    height, width = image.shape
+    # What sliding_window_view gives, which takes as long to say so as the product below.
+    patches = np.lib.stride_tricks.as_strided(
+        image, (height - side + 1, width - side + 1, side, side), 2 * image.strides, writeable=False
+    )
     columns, rows = np.rint(xy).astype(np.int64).T - RADIUS_PX
-    values = patches[rows, columns].reshape(-1, side * side).astype(np.float32)
+    values = patches[rows, columns].astype(np.float32).reshape(-1, side * side)
     # Whole numbers below 2^24: single precision adds them exactly.
-    across, down = ((values @ weights).astype(np.float64) for weights in _moment_weights())
+    across, down = (values @ _moment_weights()).astype(np.float64).T
     angles: FloatArray = np.degrees(np.arctan2(down, across)) % 360.0
     return angles
 
 
 @cache
 def _moment_weights() -> NDArray[np.float32]:
-    """Coordinates (2, side²) inside the disc and 0 outside of it."""
+    """Coordinates (side², 2) inside the disc and 0 outside of it."""
     axis = np.arange(-RADIUS_PX, RADIUS_PX + 1)
     dy, dx = np.meshgrid(axis, axis, indexing="ij")
     # Half a pixel more than the radius is the disc that OpenCV's table of row widths describes.
     disc = dx * dx + dy * dy <= (RADIUS_PX + 0.5) ** 2
-    return np.stack([dx * disc, dy * disc]).reshape(2, -1).astype(np.float32)
+    return np.stack([dx * disc, dy * disc], axis=-1).reshape(-1, 2).astype(np.float32)
 
 
 @cache

@@ -74,7 +74,8 @@ def suppress_cells(xy: FloatArray, response: FloatArray, count: int) -> IntArray
     if total <= count:
         return order.astype(np.int64)
     corner = xy.min(axis=0)
-    x, y = (np.append(axis, _FAR_PX).astype(np.float32) for axis in (xy[order] - corner).T)
+    x, y = places = np.full((2, total + 1), _FAR_PX, dtype=np.float32)
+    places[:, :-1] = (xy[order] - corner).T
     extent = (float(x[:-1].max()) + 1.0, float(y[:-1].max()) + 1.0)
     # Of a square per corner, this much of its side is about right for corners from a photograph.
     width = max(0.7 * math.sqrt(extent[0] * extent[1] / count), _NARROWEST_PX)
@@ -119,17 +120,25 @@ def _cell_winners(
     # A column and a row more, always empty: no step along the flat grid leads out of it or round its side.
     columns, rows = int(extent[0] / width) + 2, int(extent[1] / width) + 2
     scale = np.float32(1.0 / width)
-    cell = (y[:-1] * scale).astype(np.int32) * columns + (x[:-1] * scale).astype(np.int32)
-    none = len(cell)
-    winner = np.full(rows * columns, none, dtype=np.int32)
-    # Written weakest first, so that the strongest of a cell is what stays.
-    winner[cell[::-1]] = np.arange(none - 1, -1, -1, dtype=np.int32)
-    occupied = np.flatnonzero(winner < none)
-    # Four of the eight directions reach every pair of neighbours once: right, and the three below.
-    steps = np.array([[1], [columns - 1], [columns], [columns + 1]])
-    here, there = winner[occupied], winner[occupied + steps]
-    close = (x[here] - x[there]) ** 2 + (y[here] - y[there]) ** 2 < np.float32((_CLEARANCE * width) ** 2)
-    # The higher rank is the weaker corner.
+    # Weakest first, so that the strongest of a cell is what stays written.
+    cell = (y[-2::-1] * scale).astype(np.int64)
+    cell *= columns
+    cell += (x[-2::-1] * scale).astype(np.int64)
+    none = cell.size
+    winner = np.full(rows * columns, none)
+    winner[cell] = np.arange(none - 1, -1, -1)
+    occupied = (winner < none).nonzero()[0]
+    here = winner[occupied]
+    x_here, y_here = x.take(here), y.take(here)
+    limit = np.float32((_CLEARANCE * width) ** 2)
     loses = np.zeros(none, dtype=bool)
-    loses[np.maximum(here, there)[close]] = True
-    return here[~loses[here]].astype(np.int64)
+    # Four of the eight directions reach every pair of neighbours once: right, and the three below.
+    for step in (1, columns - 1, columns, columns + 1):
+        there = winner.take(occupied + step)
+        across, down = x_here - x.take(there), y_here - y.take(there)
+        across *= across
+        down *= down
+        across += down
+        # The higher rank is the weaker corner.
+        loses[np.maximum(here, there)[across < limit]] = True
+    return here[~loses.take(here)]

@@ -102,21 +102,27 @@ class TrackTable:
         T_body_prev = inverse(T_prev_body)
         R, rows = T_body_prev[:3, :3], np.flatnonzero(self.placed)
         q = transform(T_body_prev, self.q[rows])
-        J, _ = body_point_jacobians(_HERE, q)
+        J = self.by_motion(q)
         self.q[rows] = q
-        self.C[rows] = R @ self.C[rows] @ R.T + J @ Q @ np.swapaxes(J, 1, 2)
+        self.C[rows] = R @ self.C[rows] @ R.T + J @ Q @ J.mT
+
+    @staticmethod
+    def by_motion(q: FloatArray) -> FloatArray:
+        """Derivative (m, 3, 6) of points (m, 3) in the body frame by the pose's tangent: [hat(q), -I]."""
+        J, _ = body_point_jacobians(_HERE, q)
+        return J
 
     def correct_motion(self, xi: FloatArray, Q: FloatArray, Q_left: FloatArray) -> None:
         """The last increment, moved by with covariance Q, was off by ``xi``, known up to ``Q_left``."""
         rows = np.flatnonzero(self.placed)
-        J, _ = body_point_jacobians(_HERE, self.q[rows])
-        own = self.C[rows] - J @ Q @ np.swapaxes(J, 1, 2)
+        J = self.by_motion(self.q[rows])
+        own = self.C[rows] - J @ Q @ J.mT
         T = exp(-xi)
         R, q = T[:3, :3], transform(T, self.q[rows])
-        J, _ = body_point_jacobians(_HERE, q)
-        C = R @ own @ R.T + J @ Q_left @ np.swapaxes(J, 1, 2)
+        J = self.by_motion(q)
+        C = R @ own @ R.T + J @ Q_left @ J.mT
         self.q[rows] = q
-        self.C[rows] = 0.5 * (C + np.swapaxes(C, 1, 2))
+        self.C[rows] = 0.5 * (C + C.mT)
 
     def place(self, rows: IntArray, by: StereoCamera, z: FloatArray, R: FloatArray) -> None:
         """Put points where measurements (m, d) of a pair with covariances (m, d, d) say."""
@@ -124,14 +130,14 @@ class TrackTable:
         _, H = by.linearise_in_body(q)
         J = np.linalg.inv(H)
         self.q[rows] = q
-        self.C[rows] = J @ R @ np.swapaxes(J, 1, 2)
+        self.C[rows] = J @ R @ J.mT
         self.placed[rows] = True
 
     def predicted(self, rows: IntArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
         """Measurements (m, d) to expect and their covariances (m, d, d) by the points' own uncertainty."""
         with np.errstate(divide="ignore", invalid="ignore"):
             predicted, H = camera.linearise_in_body(self.q[rows])
-            return predicted, H @ self.C[rows] @ np.swapaxes(H, 1, 2)
+            return predicted, H @ self.C[rows] @ H.mT
 
     def distances(self, rows: IntArray, camera: Camera, z: FloatArray, R: FloatArray) -> FloatArray:
         """Squared Mahalanobis distances (m,) of measurements (m, d) from what the rows predict."""
@@ -147,14 +153,15 @@ class TrackTable:
         if not rows.size:
             return np.empty((0, camera.dim))
         predicted, H = camera.linearise_in_body(self.q[rows])
-        C, H_t = self.C[rows], np.swapaxes(H, 1, 2)
-        S = H @ C @ H_t + R
-        K = C @ H_t @ np.linalg.inv(S)
+        C = self.C[rows]
+        C_Ht = C @ H.mT
+        S = H @ C @ H.mT + R
+        K = C_Ht @ np.linalg.inv(S)
         y = camera.residual(z, predicted)
         self.q[rows] += (K @ y[:, :, None])[:, :, 0]
         # Joseph form: symmetric and positive over thousands of sightings.
         A = np.eye(3) - K @ H
-        self.C[rows] = A @ C @ np.swapaxes(A, 1, 2) + K @ R @ np.swapaxes(K, 1, 2)
+        self.C[rows] = A @ C @ A.mT + K @ R @ K.mT
         over: FloatArray = y / np.sqrt(np.diagonal(S, axis1=1, axis2=2))
         return over
 

@@ -18,7 +18,7 @@ from slamcmp.frontend.vision.common_motion import common_motion
 from slamcmp.frontend.vision.epipolar_test import epipolar_test
 from slamcmp.frontend.vision.error_correlation import SETTLED, ErrorCorrelation
 from slamcmp.frontend.vision.image_pair import Features, extract_features
-from slamcmp.frontend.vision.matching import match_descriptors
+from slamcmp.frontend.vision.matching import match_candidates
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
 from slamcmp.frontend.vision.motion_check import frozen
 from slamcmp.frontend.vision.pair_check import PairCheck
@@ -148,7 +148,8 @@ class FeatureTracker:
         self._frame += 1
         self._gap += 1
         tracks.move(T_prev_body, Q)
-        self._since_image = compose_increments(self._since_image, (T_prev_body, Q))
+        increment = T_prev_body, Q
+        self._since_image = increment if self._gap == 1 else compose_increments(self._since_image, increment)
         problem = self._problem(frame) or frozen(self._last_image, frame.image, *self._since_image)
         if problem:
             tracks.keep(tracks.age <= self._settings.memory)
@@ -267,9 +268,9 @@ class FeatureTracker:
     def _match(self, windows: Windows, features: Features) -> tuple[IntArray, IntArray]:
         """Windows and features that belong together, (m,) and (m,)."""
         settings = self._settings
-        allowed = windows.near(features.xy, _SEARCH_FACTOR * self._pixel_gate)
-        matches = match_descriptors(
-            self._tracks.descriptor[windows.rows], features.descriptors, ratio=settings.ratio, allowed=allowed
+        candidates = windows.near(features.xy, _SEARCH_FACTOR * self._pixel_gate)
+        matches = match_candidates(
+            self._tracks.descriptor[windows.rows], features.descriptors, *candidates, ratio=settings.ratio
         )
         long_ago = self._tracks.age[windows.rows[matches.pairs[:, 0]]] > _LONG_AGO
         which, chosen = matches.pairs[~long_ago | (matches.distance <= _SURE_BITS)].T
@@ -283,11 +284,12 @@ class FeatureTracker:
         """The Mahalanobis test: of the whole measurement, else of the pixel; for rays by their window."""
         agrees = by_window.copy()
         placed, valid = self._tracks.placed[rows], measured.valid[chosen]
-        whole, pixel_only = np.flatnonzero(placed & valid), np.flatnonzero(placed & ~valid)
-        squared = self._tracks.distances(
-            rows[whole], self.sensor, measured.z[chosen[whole]], measured.R[chosen[whole]]
-        )
+        whole, pixel_only = (placed & valid).nonzero()[0], (placed & ~valid).nonzero()[0]
+        by = chosen[whole]
+        squared = self._tracks.distances(rows[whole], self.sensor, measured.z[by], measured.R[by])
         agrees[whole] = squared <= self._gate
+        if not pixel_only.size:
+            return agrees
         R = np.broadcast_to(self._settings.sigma_px**2 * np.eye(2), (pixel_only.size, 2, 2))
         squared = self._tracks.distances(rows[pixel_only], self._image_camera, now[pixel_only], R)
         agrees[pixel_only] = squared <= self._pixel_gate
@@ -300,9 +302,10 @@ class FeatureTracker:
         if len(which) < _MATCHES_MIN:
             return
         q, z, R = tracks.q[rows[which]], measured.z[chosen[which]], measured.R[chosen[which]]
-        expected, H, H_point = self.sensor.linearise(np.eye(4), q)
+        expected, H_point = self.sensor.linearise_in_body(q)
+        H = H_point @ tracks.by_motion(q)
         _, Q = self._since_image
-        S = H_point @ tracks.C[rows[which]] @ np.swapaxes(H_point, 1, 2) - H @ Q @ np.swapaxes(H, 1, 2) + R
+        S = H_point @ tracks.C[rows[which]] @ H_point.mT - H @ Q @ H.mT + R
         xi, left = common_motion(self.sensor.residual(z, expected), S, H, Q)
         tracks.correct_motion(xi, Q, left)
 
@@ -375,10 +378,11 @@ class FeatureTracker:
 
 def _crowded(xy: FloatArray, taken: FloatArray) -> BoolArray:
     """Which pixels (m, 2) lie within the spacing of those taken (n, 2), a mask over them, (m,)."""
-    column, row = np.rint(xy).astype(np.int32).T
-    taken_column, taken_row = np.rint(taken).astype(np.int32).T
-    near = np.abs(column[:, None] - taken_column) <= _SPACING_PX
-    near &= np.abs(row[:, None] - taken_row) <= _SPACING_PX
+    # Read as unsigned, what lies before the interval is beyond its end: one comparison an axis.
+    column, row = np.rint(xy.T).astype(np.int32)
+    first_column, first_row = np.rint(taken.T).astype(np.int32) - _SPACING_PX
+    near = (column[:, None] - first_column).view(np.uint32) <= 2 * _SPACING_PX
+    near &= (row[:, None] - first_row).view(np.uint32) <= 2 * _SPACING_PX
     crowded: BoolArray = near.any(axis=1)
     return crowded
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slamcmp.geometry import adjoint, hat, inverse
+from slamcmp.geometry import adjoint, inverse
 from slamcmp.models.camera import Camera
 from slamcmp.types import BoolArray, FloatArray, IntArray
 
@@ -54,6 +54,8 @@ class PoseHistory:
         self._length = length
         self.T_view = np.empty((0, 4, 4))
         self.S = np.empty((0, 6, 6))
+        self._of_camera: Camera | None = None
+        self._motion = self.T_view
 
     def advance(self, T_prev_body: FloatArray, Q: FloatArray) -> None:
         """Move on by one increment and make the new present frame entry 0."""
@@ -62,13 +64,21 @@ class PoseHistory:
         S = A @ self.S @ A.T + Q
         self.T_view = np.concatenate([np.eye(4)[None], self.T_view @ T_prev_body])[: self._length]
         self.S = np.concatenate([np.zeros((1, 6, 6)), S])[: self._length]
+        self._of_camera = None
+
+    def camera_motion(self, camera: Camera) -> FloatArray:
+        """From the present camera frame to a view's camera frame, (F, 4, 4); made once a frame."""
+        if self._of_camera is not camera:
+            self._motion = camera.T_camera_body @ self.T_view @ camera.T_body_camera
+            self._of_camera = camera
+        return self._motion
 
 
 def parallax_deg(
     camera: Camera, history: PoseHistory, now: FloatArray, then: FloatArray, back: IntArray
 ) -> FloatArray:
     """Angles (m,) between the rays of pixels ``now`` (m, 2) and ``then`` (m, 2), ``back`` frames ago."""
-    R = _camera_motion(camera, history)[back, :3, :3]
+    R = history.camera_motion(camera)[back, :3, :3]
     here, there = camera.rays(now), (camera.rays(then)[:, None, :] @ R)[:, 0]
     cosine = (here * there).sum(axis=1)
     cosine /= np.linalg.norm(here, axis=1) * np.linalg.norm(there, axis=1)
@@ -91,46 +101,44 @@ def triangulate(
     A track's views stand in the order of time, unused ones anywhere. The last one is the present one:
     ``back`` is 0 there, and it is used.
     """
-    motion = _camera_motion(camera, history)[back]
-    body_motion = (camera.T_camera_body @ history.T_view)[back, :3, :3]
+    motion = history.camera_motion(camera)[back]
+    views_of = _Views(camera, motion, (camera.T_camera_body @ history.T_view)[back, :3, :3])
     S = history.S[back]
     seen = camera.rays(pixels)[..., :2]
     count, views = used.shape
     row = np.arange(2 * views)
     earlier = row[:, None] // 2 <= row // 2
-    pixel_noise = np.diag(np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views))
+    pixel_variances = np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views)
     # A view without a pixel keeps its place in the arrays and loses its weight.
     busy = np.repeat(used, 2, axis=1)
-    both_busy, without = busy[:, :, None] & busy[:, None, :], ~busy[:, :, None] * np.eye(2 * views)
+    not_both_busy, idle = ~(busy[:, :, None] & busy[:, None, :]), ~busy
+    complete = bool(used.all())
     w = np.concatenate([seen[:, -1], _inverse_depth(motion, seen, used)[:, None]], axis=1)
+    H_and_y, ridge = np.empty((count, 2 * views, 4)), _RIDGE * np.eye(3)
     for _ in range(_STEPS):
-        predicted, H, G, depth = _linearised(camera, motion, body_motion, w)
+        predicted, H, G, depth = views_of.linearised(w)
         # Two views share the increments after the later one, so its S stands between their derivatives.
         G_all = G.reshape(count, 2 * views, 6)
-        covariance = G_all @ np.swapaxes((G @ S).reshape(G_all.shape), 1, 2)
-        covariance = np.where(earlier, covariance, np.swapaxes(covariance, 1, 2))
-        covariance = np.where(both_busy, covariance + pixel_noise, without)
-        H = np.where(used[..., None, None], H, 0.0).reshape(count, 2 * views, 3)
-        y = np.where(used[..., None], seen - predicted, 0.0).reshape(count, 2 * views, 1)
-        weighted = np.linalg.solve(covariance, np.concatenate([H, y], axis=2))
-        information = np.swapaxes(H, 1, 2) @ weighted[..., :3] + _RIDGE * np.eye(3)
-        w = w + np.linalg.solve(information, np.swapaxes(H, 1, 2) @ weighted[..., 3:])[..., 0]
-    misfit = (y * weighted[..., 3:]).sum(axis=(1, 2))
+        covariance = G_all @ (G @ S).reshape(G_all.shape).mT
+        covariance = np.where(earlier, covariance, covariance.mT)
+        covariance[:, row, row] += pixel_variances
+        H, y = H.reshape(count, 2 * views, 3), (seen - predicted).reshape(count, 2 * views)
+        if not complete:
+            covariance[not_both_busy] = 0.0
+            covariance[:, row, row] += idle
+            H, y = np.where(busy[:, :, None], H, 0.0), np.where(busy, y, 0.0)
+        H_and_y[..., :3], H_and_y[..., 3] = H, y
+        weighted = np.linalg.solve(covariance, H_and_y)
+        information = H.mT @ weighted[..., :3] + ridge
+        w = w + np.linalg.solve(information, H.mT @ weighted[..., 3:])[..., 0]
+    misfit = (y * weighted[..., 3]).sum(axis=1)
     to_z = np.array(
         [[camera.fx_px, 0.0, 0.0], [camera.fx_px, 0.0, -camera.fx_px * baseline_m], [0.0, camera.fy_px, 0.0]]
     )
     z = w @ to_z.T + [camera.cx_px, camera.cx_px, camera.cy_px]
     R = to_z @ np.linalg.inv(information) @ to_z.T
     in_front = ((depth > 0) | ~used).all(axis=1) & (w[:, 2] > 0)
-    return Triangulation(
-        z, 0.5 * (R + np.swapaxes(R, 1, 2)), misfit, 2 * used.sum(axis=1) - 3, np.asarray(in_front)
-    )
-
-
-def _camera_motion(camera: Camera, history: PoseHistory) -> FloatArray:
-    """From the present camera frame to a view's camera frame, (F, 4, 4)."""
-    motion: FloatArray = camera.T_camera_body @ history.T_view @ camera.T_body_camera
-    return motion
+    return Triangulation(z, 0.5 * (R + R.mT), misfit, 2 * used.sum(axis=1) - 3, np.asarray(in_front))
 
 
 def _inverse_depth(motion: FloatArray, seen: FloatArray, used: BoolArray) -> FloatArray:
@@ -145,24 +153,38 @@ def _inverse_depth(motion: FloatArray, seen: FloatArray, used: BoolArray) -> Flo
     return answer
 
 
-def _linearised(
-    camera: Camera, motion: FloatArray, body_motion: FloatArray, w: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Where the views should see w: (x / z, y / z), H, G, and the depth there as a share of the present one.
+class _Views:
+    """What the views of some tracks (m, V) see of points, with all that does not depend on the points.
 
-    All points are scaled by the inverse depth, so that one at infinity is no exception.
+    Args:
+        camera: of all views.
+        motion: from the present camera frame to a view's camera frame, (m, V, 4, 4).
+        body_motion: the rotation from the present body frame to a view's camera frame, (m, V, 3, 3).
     """
-    by_w = motion[..., :3, [0, 1, 3]]
-    q = (by_w @ w[:, None, :, None])[..., 0] + motion[..., :3, 2]
-    depth = np.where(np.abs(q[..., 2]) > 1e-6, q[..., 2], 1e-6)
-    predicted = q[..., :2] / depth[..., None]
-    ray = np.concatenate([w[:, :2], np.ones((len(w), 1))], axis=1)
-    in_body = ray @ camera.T_body_camera[:3, :3].T + w[:, 2:] * camera.T_body_camera[:3, 3]
-    by_perturbation = np.zeros((len(w), 3, 6))
-    by_perturbation[..., :3] = -hat(in_body)
-    by_perturbation[..., range(3), range(3, 6)] = w[:, 2:]
-    # d(x / z) = (dx - (x / z) dz) / z, for both at once.
-    by_both = np.concatenate([by_w, body_motion], axis=-1)
-    projected = by_both[..., :2, :] - predicted[..., None] * by_both[..., 2:, :]
-    projected /= depth[..., None, None]
-    return predicted, projected[..., :3], projected[..., 3:] @ by_perturbation[:, None], depth
+
+    def __init__(self, camera: Camera, motion: FloatArray, body_motion: FloatArray) -> None:
+        self._by_w, self._at_z = motion[..., :3, [0, 1, 3]], motion[..., :3, 2]
+        self._by_both = np.concatenate([self._by_w, body_motion], axis=-1)
+        self._R_body_camera, self._t_body_camera = camera.T_body_camera[:3, :3], camera.T_body_camera[:3, 3]
+        self._ray = np.ones((len(motion), 3))
+        self._by_perturbation = np.zeros((len(motion), 3, 6))
+
+    def linearised(self, w: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Where the views should see w: (x / z, y / z), H, G, and the depth as a share of the present one.
+
+        All points are scaled by the inverse depth, so that one at infinity is no exception.
+        """
+        q = (self._by_w @ w[:, None, :, None])[..., 0] + self._at_z
+        depth = np.where(np.abs(q[..., 2]) > 1e-6, q[..., 2], 1e-6)
+        predicted = q[..., :2] / depth[..., None]
+        self._ray[:, :2] = w[:, :2]
+        x, y, z = (self._ray @ self._R_body_camera.T + w[:, 2:] * self._t_body_camera).T
+        # Minus the hat of the point in the body, and its inverse depth.
+        P = self._by_perturbation
+        P[:, 0, 1], P[:, 1, 2], P[:, 2, 0] = z, x, y
+        P[:, 1, 0], P[:, 2, 1], P[:, 0, 2] = -z, -x, -y
+        P[:, 0, 3] = P[:, 1, 4] = P[:, 2, 5] = w[:, 2]
+        # d(x / z) = (dx - (x / z) dz) / z, for both at once.
+        projected = self._by_both[..., :2, :] - predicted[..., None] * self._by_both[..., 2:, :]
+        projected /= depth[..., None, None]
+        return predicted, projected[..., :3], projected[..., 3:] @ P[:, None], depth
