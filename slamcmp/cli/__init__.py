@@ -15,7 +15,7 @@ import typer
 import slamcmp
 from slamcmp.cli import check, data, frontend, grade, grade_all, results, run, seeds, show, stream
 from slamcmp.errors import SlamcmpError
-from slamcmp.support.messages import told
+from slamcmp.support.messages import printable, told
 
 app = typer.Typer(
     name="slamcmp",
@@ -59,5 +59,5 @@ def main() -> None:
     except SlamcmpError as error:
         if _debug:
             raise
-        print(told(f"slamcmp: {error}"), file=sys.stderr)
+        print(told(printable(f"slamcmp: {error}")), file=sys.stderr)
         sys.exit(error.exit_code)

@@ -97,6 +97,8 @@ def _print(outcome: GradeOutcome) -> None:
     from rich.console import Console
     from rich.text import Text
 
+    from slamcmp.grading.results.student_view import clean
+
     console = Console()
     styles = {"passed": "green", "partial": "yellow", "skipped": "dim"}
     for test in outcome.tests:
@@ -105,11 +107,11 @@ def _print(outcome: GradeOutcome) -> None:
         head = f"{test.score:6.2f} / {test.max_score:g}  "
         console.print(Text.assemble(head, (test.status, style), f"  {test.number}. {test.name}{hidden}"))
         if test.message and test.status != "passed":
-            for line in test.message.splitlines():
+            for line in clean(test.message).splitlines():
                 console.print(Text(f"        {line}"), soft_wrap=True)
     for note in outcome.notes:
-        console.print(Text(note, style="bold"))
+        console.print(Text(clean(note), style="bold"))
     print(
-        f"{outcome.student}: {outcome.score:.2f} of {outcome.max_score:g} points in {outcome.assignment}, "
-        f"sandbox: {outcome.sandbox_level}"
+        f"{clean(outcome.student)}: {outcome.score:.2f} of {outcome.max_score:g} points "
+        f"in {outcome.assignment}, sandbox: {outcome.sandbox_level}"
     )

@@ -94,7 +94,11 @@ def grade_all(
         progress=not as_json,
     )
     if as_json:
-        print(json.dumps({"folder": str(result.folder), **result.summary.as_dict()}))
+        print(
+            json.dumps(
+                {"folder": str(result.folder), "left_out": result.left_out, **result.summary.as_dict()}
+            )
+        )
     else:
         _print(result)
     if result.interrupted:
@@ -180,6 +184,8 @@ def _print(result: ClassResult) -> None:
             console.print(
                 f"      {_counted(failure.message_count, 'time')}: {failure.message}", soft_wrap=True
             )
+    if result.left_out:
+        console.print(f"hidden, not graded: {', '.join(result.left_out)}", soft_wrap=True)
     for row in result.rows:
         if row.ended not in ("ok", "pending"):
             console.print(f"grader {row.ended}: {row.student}", soft_wrap=True)

@@ -19,6 +19,11 @@ def told(text: str, limit: int = LIMIT) -> str:
     return whole[: limit - len(note.encode())].decode("utf-8", "ignore") + note
 
 
+def printable(text: str) -> str:
+    """Text without control characters, which could rewrite a terminal; line ends and tabs stay."""
+    return "".join(letter if letter.isprintable() or letter in "\n\t" else "\ufffd" for letter in text)
+
+
 def describe(error: BaseException) -> str:
     """``ValueError: message (my_file.py:12, update)``: the deepest line outside installed libraries."""
     entries = traceback.extract_tb(error.__traceback__)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 import zipfile
@@ -38,7 +39,11 @@ def test_a_class_is_graded_and_summarised(tmp_path: Path, monkeypatch: pytest.Mo
     summary = json.loads(second.output)
     assert summary["endings"] == {"ok": 2}
     assert summary["histogram"] == [0, 0, 0, 0, 0, 0, 1, 0, 0, 1]
-    feedback = (tmp_path / "out/students/bob/feedback.html").read_text()
+    assert summary["left_out"] == []
+    with (tmp_path / "out/folders.csv").open(encoding="utf-8-sig", newline="") as file:
+        folders = {row["student"]: row["folder"] for row in csv.DictReader(file)}
+    assert set(folders) == {"ada", "bob"}
+    feedback = (tmp_path / "out" / folders["bob"] / "feedback.html").read_text()
     assert "0 of 10 calls of half are right" in feedback
     assert "SECRET-SQUARE" not in feedback
 

@@ -54,12 +54,20 @@ def test_a_file_is_taken_under_the_assignment_s_name(tmp_path: Path) -> None:
 
 def test_a_folder_is_taken_whole_but_for_junk(tmp_path: Path) -> None:
     root = tmp_path / "mine"
-    for name in ("ekf.py", "helpers/maths.py", ".DS_Store", "__pycache__/ekf.pyc", ".git/config"):
+    junk = (".DS_Store", "__pycache__/ekf.pyc", ".git/config", ".git/HEAD", ".ekf.py", "helpers/._maths.py")
+    for name in ("ekf.py", "helpers/maths.py", *junk):
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(GOOD)
     submission = load_submission(root, entry="ekf.py")
     assert sorted(submission.files) == ["ekf.py", "helpers/maths.py"]
     assert submission.entry == "ekf.py"
+    hidden = (".DS_Store", ".ekf.py", ".git", "__pycache__", "helpers/._maths.py")
+    assert submission.left_out == hidden
+    zipped = make_zip(tmp_path / "m.zip", {"ekf.py": GOOD, "__MACOSX/._ekf.py": b"\0", "__MACOSX/._a": b"x"})
+    assert load_submission(zipped).left_out == ("__MACOSX",)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / ".ekf.py").write_text(GOOD)
+    assert refused(tmp_path / "empty") == "empty: is empty but for what is hidden (.ekf.py)"
 
 
 def test_folder_file_and_zip_of_the_same_content_have_the_same_digest(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import stat
 import zipfile
 import zlib
-from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from slamcmp.grading.hand_in.hand_in import (
@@ -25,7 +24,7 @@ _DEVICES = (stat.S_IFLNK, stat.S_IFIFO, stat.S_IFSOCK, stat.S_IFCHR, stat.S_IFBL
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
-def read_zip(path: Path) -> Mapping[str, bytes]:
+def read_zip(path: Path) -> Collector:
     """The files of an archive by their paths; one folder around everything is taken off.
 
     Raises:
@@ -43,11 +42,12 @@ def read_zip(path: Path) -> Mapping[str, bytes]:
         raise SubmissionError(f"{path.name}: cannot be read ({error})") from error
 
 
-def _unpack(archive: zipfile.ZipFile, name: str) -> Mapping[str, bytes]:
+def _unpack(archive: zipfile.ZipFile, name: str) -> Collector:
     entries = archive.infolist()
     if len(entries) > _ENTRIES_MAX:
         raise SubmissionError(f"{name}: has {len(entries)} entries; {FILES_MAX} files are allowed")
     wanted = []
+    collector = Collector()
     for entry in entries:
         # The original name: zipfile cuts it at a NUL, so that two readers would see two names.
         check_path(entry.orig_filename.rstrip("/") if entry.orig_filename != "/" else "/")
@@ -56,7 +56,10 @@ def _unpack(archive: zipfile.ZipFile, name: str) -> Mapping[str, bytes]:
             raise SubmissionError(
                 f"{name}: {shown(entry.filename)} is a link or a device; only files, please"
             )
-        if entry.is_dir() or Collector.is_junk(entry.filename):
+        if Collector.is_junk(entry.filename):
+            collector.leave_out(entry.filename)
+            continue
+        if entry.is_dir():
             continue
         if entry.flag_bits & 0x1:
             raise SubmissionError(f"{name}: is encrypted; hand in an open one")
@@ -65,7 +68,6 @@ def _unpack(archive: zipfile.ZipFile, name: str) -> Mapping[str, bytes]:
         wanted.append(entry)
     if sum(entry.file_size for entry in wanted) > TOTAL_BYTES:
         raise SubmissionError(f"{name}: is larger than {size(TOTAL_BYTES)} when unpacked")
-    collector = Collector()
     inner = _common_folder([entry.filename for entry in wanted])
     for entry in wanted:
         with archive.open(entry) as file:

@@ -6,30 +6,27 @@ import codecs
 import io
 import re
 import tokenize
-from collections.abc import Mapping
 from pathlib import PurePosixPath
+from typing import Self
 
 from slamcmp.errors import UsageError
+from slamcmp.support.messages import printable
 
 FILES_MAX = 200
 FILE_BYTES = 2 << 20
 TOTAL_BYTES = 10 << 20
 _PATH_MAX = 200
-_IGNORED_FOLDERS = {
-    "__MACOSX",
-    "__pycache__",
-    ".git",
-    ".ipynb_checkpoints",
-    ".venv",
-    "venv",
-    ".idea",
-    ".vscode",
-}
-_IGNORED_FILES = {".DS_Store", "Thumbs.db", "desktop.ini", ".gitignore"}
+_JUNK = {"__MACOSX", "__pycache__", "venv", "Thumbs.db", "desktop.ini"}
 
 
 class SubmissionError(UsageError):
-    """The submission cannot be graded; the message says why and may be shown to the student."""
+    """The submission cannot be graded; the message says why and may be shown to the student.
+
+    It may quote names that the student has chosen: nothing in it can rewrite a terminal.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class Collector:
@@ -37,13 +34,22 @@ class Collector:
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
+        self.left_out: list[str] = []
+        """Names of hidden files and folders that were met."""
         self._total = 0
 
     @staticmethod
     def is_junk(path: str) -> bool:
-        """What editors and operating systems leave behind: skipped without a word."""
+        """What is hidden, and what editors and operating systems leave behind: left out, and told."""
+        return any(_junk(part) for part in PurePosixPath(path).parts)
+
+    def leave_out(self, path: str) -> None:
+        """Remember what was left out, a hidden folder with all in it as one."""
         parts = PurePosixPath(path).parts
-        return bool(_IGNORED_FOLDERS & set(parts)) or (bool(parts) and parts[-1] in _IGNORED_FILES)
+        first = next(number for number, part in enumerate(parts) if _junk(part))
+        name = "/".join(parts[: first + 1])[:_PATH_MAX]
+        if name not in self.left_out and len(self.left_out) < FILES_MAX:
+            self.left_out.append(name)
 
     def add(self, path: str, content: bytes) -> None:
         """Take in a file.
@@ -65,15 +71,20 @@ class Collector:
             content = as_utf8(path, content)
         self.files[path] = content
 
-    def checked(self, name: str) -> Mapping[str, bytes]:
-        """The files.
+    def checked(self, name: str) -> Self:
+        """Itself.
 
         Raises:
-            SubmissionError: there are none.
+            SubmissionError: there are no files.
         """
         if not self.files:
-            raise SubmissionError(f"{name}: is empty")
-        return self.files
+            hidden = f" but for what is hidden ({', '.join(self.left_out[:5])})" if self.left_out else ""
+            raise SubmissionError(f"{name}: is empty{hidden}")
+        return self
+
+
+def _junk(part: str) -> bool:
+    return part in _JUNK or (part.startswith(".") and part.strip(".") != "")
 
 
 def check_path(path: str) -> None:

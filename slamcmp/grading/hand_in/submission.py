@@ -34,6 +34,8 @@ class Submission:
     """Run only definitions and imports (a notebook without marked cells)."""
     cells: tuple[CellLine, ...] = ()
     """For a notebook: where each line of the entry comes from."""
+    left_out: tuple[str, ...] = ()
+    """Hidden files and folders that were handed in with it and are not looked at."""
 
     @property
     def digest(self) -> str:
@@ -69,14 +71,12 @@ def load_submission(path: Path | str, *, entry: str | None = None) -> Submission
     if stat.S_ISLNK(mode):
         raise SubmissionError(f"{path.name}: is a link; hand in the file itself")
     if stat.S_ISDIR(mode):
-        files = _read_folder(path)
-        return Submission(path.name, "folder", files, _choose_entry(files, entry, path.name))
+        return _several(path, "folder", _read_folder(path), entry)
     if not stat.S_ISREG(mode):
         raise SubmissionError(f"{path.name}: is no regular file")
     suffix = path.suffix.lower()
     if suffix == ".zip":
-        files = read_zip(path)
-        return Submission(path.name, "zip", files, _choose_entry(files, entry, path.name))
+        return _several(path, "zip", read_zip(path), entry)
     if suffix == ".ipynb":
         return _notebook(path, entry)
     if suffix == ".py":
@@ -88,6 +88,11 @@ def load_submission(path: Path | str, *, entry: str | None = None) -> Submission
     raise SubmissionError(f"{path.name}: hand in a .py file, a folder, a .zip or a notebook (.ipynb)")
 
 
+def _several(path: Path, kind: Literal["folder", "zip"], found: Collector, entry: str | None) -> Submission:
+    chosen = _choose_entry(found.files, entry, path.name)
+    return Submission(path.name, kind, found.files, chosen, left_out=tuple(found.left_out))
+
+
 def _notebook(path: Path, entry: str | None) -> Submission:
     notebook = read_notebook(_read_file(path), path.name)
     name = entry or "notebook.py"
@@ -95,7 +100,7 @@ def _notebook(path: Path, entry: str | None) -> Submission:
     return Submission(path.name, "notebook", files, name, not notebook.marked, notebook.lines)
 
 
-def _read_folder(root: Path) -> Mapping[str, bytes]:
+def _read_folder(root: Path) -> Collector:
     collector = Collector()
 
     def walk(folder: Path, prefix: str, depth: int) -> None:
@@ -103,6 +108,7 @@ def _read_folder(root: Path) -> Mapping[str, bytes]:
             for entry in sorted(entries, key=lambda item: item.name):
                 name = prefix + entry.name
                 if collector.is_junk(name):
+                    collector.leave_out(name)
                     continue
                 if entry.is_symlink():
                     raise SubmissionError(f"{name}: is a link; hand in the file itself")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,6 +65,18 @@ def write_gradebook(rows: Sequence[GradebookRow], path: Path) -> None:
     # With the mark by which a spreadsheet knows UTF-8.
     content = gradebook_csv(rows).encode("utf-8-sig")
     write_atomically(path, lambda file: file.write(content))
+
+
+def write_folders(folders: Mapping[str, str], path: Path) -> None:
+    """Which folder of the results is whose, by student: for the staff.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
+    writer.writerows([("student", "folder"), *((safe_cell(name), place) for name, place in folders.items())])
+    write_atomically(path, lambda file: file.write(buffer.getvalue().encode("utf-8-sig")))
 
 
 def safe_cell(text: str) -> str:

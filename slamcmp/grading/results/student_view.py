@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus
-from slamcmp.grading.sandbox.answers import printable
+from slamcmp.support.messages import printable
 
 STATUS_WORDS: dict[TestStatus, str] = {
     "passed": "passed",

@@ -33,6 +33,7 @@ from slamcmp.grading.run.grade_process import (
     with_unreached,
 )
 from slamcmp.grading.sandbox.staging import own_prefix
+from slamcmp.support.messages import printable
 
 Writer = Callable[[GradeOutcome, Path], None]
 POLL_S = 0.1
@@ -108,7 +109,7 @@ def run_autograder(layout: Layout, *, grader: str = GRADER) -> GradeOutcome:
     outcome, ended, log = _supervise(request, settings.time_limit_s, grader, layout)
     print(staff_text(outcome))
     if ended.ending != "ok":
-        print(f"\nThe grading ended early: {ended.ending}: {ended.message}\n{log}")
+        print(printable(f"\nThe grading ended early: {ended.ending}: {ended.message}\n{log}"))
     return outcome
 
 

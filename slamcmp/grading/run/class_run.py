@@ -1,7 +1,7 @@
 """Grade a folder of submissions: side by side, each on its own, going on where an earlier run stopped.
 
 In the results folder: ``gradebook.csv``, written again after each grading, ``summary.json``, and for each
-student ``students/NAME/`` with ``outcome.json``, ``feedback.html`` (for the student), ``staff.html``,
+student ``students/NAME-…/`` with ``outcome.json``, ``feedback.html`` (for the student), ``staff.html``,
 ``grader.log`` and ``done.json``, which says what the outcome was computed from.
 """
 
@@ -28,7 +28,7 @@ from slamcmp.grading.hand_in.class_folder import (
     find_submissions,
 )
 from slamcmp.grading.results.class_summary import ClassSummary, summarise
-from slamcmp.grading.results.gradebook import GradebookRow, write_gradebook
+from slamcmp.grading.results.gradebook import GradebookRow, write_folders, write_gradebook
 from slamcmp.grading.results.outcome import load_outcome
 from slamcmp.grading.run.class_progress import class_watcher
 from slamcmp.grading.run.grade_process import (
@@ -60,6 +60,8 @@ class ClassResult:
     graded: int
     reused: int
     interrupted: bool
+    left_out: tuple[str, ...] = ()
+    """Hidden entries of the class's folder, by their names: not graded."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,8 @@ def run_class(
         UsageError: it is empty, another run writes to ``folder``, or the machine refuses every grading.
         StorageError: a result cannot be written.
     """
-    submitted = find_submissions(submissions)
+    found = find_submissions(submissions, secret)
+    submitted = found.submitted
     assignment, folder = assignment.resolve(), folder.resolve()
     with locked(folder, who="class run", instead="--out"), _stop_signals() as stop:
         computed_from = {
@@ -110,6 +113,7 @@ def run_class(
             "accept_weak_sandbox": accept_weak_sandbox,
             "pages": pages,
         }
+        write_folders({each.student: f"students/{each.folder}" for each in submitted}, folder / "folders.csv")
         rows: dict[str, GradebookRow] = {}
         waiting: list[_Job] = []
         for each in submitted:
@@ -122,10 +126,16 @@ def run_class(
         with class_watcher(len(waiting), show=progress) as watcher:
             run.perform(waiting, jobs or os.cpu_count() or 1, watcher)
         summary = summarise(list(rows.values()))
-        text = json.dumps(summary.as_dict(), indent=1) + "\n"
+        text = json.dumps({**summary.as_dict(), "left_out": found.left_out}, indent=1) + "\n"
         write_atomically(folder / "summary.json", lambda file: file.write(text.encode()))
         return ClassResult(
-            folder, tuple(rows.values()), summary, run.graded, len(submitted) - len(waiting), stop.is_set()
+            folder,
+            tuple(rows.values()),
+            summary,
+            run.graded,
+            len(submitted) - len(waiting),
+            stop.is_set(),
+            found.left_out,
         )
 
 

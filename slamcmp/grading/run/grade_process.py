@@ -29,6 +29,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.executors.fork_server import THREAD_VARIABLES
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, load_outcome, save_outcome
 from slamcmp.grading.sandbox.staging import own_prefix, remove_stale
+from slamcmp.support.messages import printable
 
 Ending = Literal["ok", "crashed", "timed_out", "refused"]
 
@@ -214,6 +215,8 @@ def main() -> None:
     grader, parent = sys.argv[1:3]
     _follow(int(parent))
     faulthandler.enable()
+    # What is raised may quote the submission, and a log is read on a terminal.
+    sys.excepthook = lambda _, error, __: print(_traceback(error), file=sys.stderr)
     request = GradeRequest(**json.loads(sys.stdin.buffer.read()))
     from slamcmp.grading.sandbox.errors import SandboxUnavailable
 
@@ -232,9 +235,9 @@ def main() -> None:
     save_outcome(outcome, Path(request.outcome))
     try:
         write_pages(outcome, request)
-    except Exception:
+    except Exception as error:
         # The grade is safe; a page is worth less than a row in the gradebook.
-        traceback.print_exc()
+        print(_traceback(error), file=sys.stderr)
 
 
 def write_pages(outcome: GradeOutcome, request: GradeRequest) -> None:
@@ -245,6 +248,10 @@ def write_pages(outcome: GradeOutcome, request: GradeRequest) -> None:
         write_grade_page(outcome, Path(request.student_page), audience="student")
     if request.staff_page:
         write_grade_page(outcome, Path(request.staff_page), audience="staff")
+
+
+def _traceback(error: BaseException) -> str:
+    return printable("".join(traceback.format_exception(error)).rstrip())
 
 
 def _follow(parent: int) -> None:

@@ -20,8 +20,9 @@ from slamcmp.grading.run.judge import Judge, Runner, Sides, without_points
 from slamcmp.grading.run.judging_process import Apart, Here
 from slamcmp.grading.run.source_reader import read_source, told
 from slamcmp.grading.sandbox.session import SandboxSession
+from slamcmp.support.messages import printable
 
-_OUTPUT_KEPT = 2000
+_OUTPUT_KEPT, _HIDDEN_TOLD = 2000, 5
 
 
 def grade(
@@ -80,6 +81,10 @@ class Sandboxed:
         reading = read_source(submission, assignment.fields.functions)
         self.missing = reading.unwritten
         self.notes: tuple[str, ...] = (told(reading.left_out),) if reading.left_out else ()
+        if hidden := submission.left_out:
+            more = f" and {len(hidden) - _HIDDEN_TOLD} more" if len(hidden) > _HIDDEN_TOLD else ""
+            names = printable(", ".join(hidden[:_HIDDEN_TOLD]))
+            self.notes += (f"Hidden files are not looked at: {names}{more}.",)
         self.level = "not started"
         self.proofs: Mapping[str, str] = {}
         self.output = ""

@@ -14,6 +14,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import sys
 import time
 import traceback
 import warnings
@@ -30,6 +31,7 @@ from slamcmp.grading.run.judge import Judge, Judged, without_points
 from slamcmp.grading.sandbox.errors import SandboxUnavailable
 from slamcmp.grading.sandbox.identity import die_with_parent, hold_undumpable, release_undumpable
 from slamcmp.grading.sandbox.staging import remove_of
+from slamcmp.support.messages import printable
 
 _POLL_S = 0.1
 _OUT_OF_MEMORY = 71
@@ -222,8 +224,8 @@ def _serve(judge: Judge, pipe: Connection, room: int) -> NoReturn:
         code = 0
     except MemoryError:
         code = _OUT_OF_MEMORY
-    except BaseException:
-        traceback.print_exc()
+    except BaseException as error:
+        print(printable("".join(traceback.format_exception(error))), file=sys.stderr, flush=True)
     finally:
         os._exit(code)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from slamcmp.errors import DataError
 from slamcmp.grading.sandbox.errors import SourceLine, StudentError
+from slamcmp.support.messages import printable
 from slamcmp.types import Estimate, Landmarks, Trajectory
 
 
@@ -57,11 +58,6 @@ def student_error(told: Any) -> StudentError:
             frames.append(SourceLine(_word(file), line, _word(function), _word(code)))
     message = printable(str(told.get("message", ""))[:2000])
     return StudentError(_word(told.get("type", "Error")), message, tuple(frames[:16]))
-
-
-def printable(text: str) -> str:
-    """Text without control characters, which could rewrite a terminal; line ends and tabs stay."""
-    return "".join(letter if letter.isprintable() or letter in "\n\t" else "�" for letter in text)
 
 
 def _word(text: Any) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slamcmp.errors import SlamcmpError, UsageError
+from slamcmp.support.messages import printable
 
 
 class SandboxUnavailable(UsageError):
@@ -34,7 +35,7 @@ class StudentError(SandboxError):
 
     def __init__(self, type_name: str, message: str, frames: tuple[SourceLine, ...] = ()) -> None:
         self.type_name = type_name
-        self.message = message
+        self.message = printable(message)
         self.frames = frames
         """Outermost call first, lines of the submission only."""
         super().__init__(self.text)

@@ -21,7 +21,7 @@ from typing import Any, NewType, Self
 
 from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox import identity
-from slamcmp.grading.sandbox.answers import Answer, printable, read_answer, student_error
+from slamcmp.grading.sandbox.answers import Answer, read_answer, student_error
 from slamcmp.grading.sandbox.bubblewrap import bubblewrap_works
 from slamcmp.grading.sandbox.channel import Ended, Expired
 from slamcmp.grading.sandbox.errors import (
@@ -38,6 +38,7 @@ from slamcmp.grading.sandbox.proofs import IN_THE_GRADER, MEANING, Level, Outcom
 from slamcmp.grading.sandbox.protocol import FrameError, decode, encode
 from slamcmp.grading.sandbox.readable import readable_for, world_reachable
 from slamcmp.grading.sandbox.staging import Staging
+from slamcmp.support.messages import printable
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 
 Handle = NewType("Handle", int)
