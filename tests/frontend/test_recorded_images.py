@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
+import pytest
 
 from slamcmp.frontend.vision.degeneracy import Geometry
 from slamcmp.frontend.vision.fundamental import sampson_distance
@@ -48,3 +49,28 @@ def test_matches_of_a_driving_camera_obey_the_recorded_motion() -> None:
         assert (distance[pair.kept] < 2.0).mean() >= 0.95
         # The recorded attitude is good to a few hundredths of a degree, and 0.08° is a pixel here.
         assert np.median(distance[pair.kept]) < 1.0
+
+
+def test_recorded_images_of_different_places_have_nothing_in_common() -> None:
+    patterns = {
+        "kitti06_first51": "image_l/*.png",
+        "7scenes_redkitchen": "frame-*.color.*",
+        "tum_fr1_rpy_a": "rgb/*.png",
+        "euroc_v101_static": "mav0/cam0/data/*.png",
+    }
+    first = [_features(pattern, name, 1)[0] for name, pattern in patterns.items()]
+    for one, two in permutations(first, 2):
+        pair = match_features(one, two, seed=0, ratio=0.9)
+        assert pair.verification.geometry is Geometry.CHANCE
+        assert pair.counts["kept"] == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirrored_recorded_image_keeps_no_match(axis: int) -> None:
+    """This kitchen has symmetrical cupboards: 18 and 31 matches obeyed an epipolar geometry of its rows."""
+    image = read_image(sorted(recorded("7scenes_redkitchen").glob("frame-*.color.*"))[0])
+    mirrored = extract_features(np.ascontiguousarray(np.flip(image, axis)))
+    for ratio in (0.8, 0.9, 1.0):
+        pair = match_features(extract_features(image), mirrored, seed=0, ratio=ratio)
+        assert pair.verification.geometry in (Geometry.MIRRORED, Geometry.CHANCE)
+        assert pair.counts["kept"] == 0

@@ -62,11 +62,37 @@ def test_matches_that_repeat_are_counted_once() -> None:
     answer = verify_matches(first, second, seed=0)
     assert answer.geometry is Geometry.CHANCE
     assert not answer.inliers.any()
-    # A quarter of a pixel apart is no other match either.
-    jitter = np.random.default_rng(0).uniform(-0.1, 0.1, (2, 80, 2))
-    again = verify_matches(first + jitter[0], second + jitter[1], seed=0)
-    assert again.geometry in (Geometry.CHANCE, Geometry.PLANE_OR_ROTATION)
-    assert again.F is None
+
+
+@pytest.mark.parametrize("method", ["magsac", "ransac"])
+@pytest.mark.parametrize("spread_px", [0.1, 0.5, 1.5])
+def test_a_feature_found_again_a_little_beside_its_place_is_no_other_one(
+    method: str, spread_px: float
+) -> None:
+    for seed in range(3):
+        views = two_views(seed, 8)
+        jitter = np.random.default_rng(seed).uniform(-spread_px, spread_px, (2, 80, 2))
+        first, second = (np.tile(each, (10, 1)) for each in (views.first, views.second))
+        answer = verify_matches(first + jitter[0], second + jitter[1], seed=seed, method=method)
+        assert answer.geometry is Geometry.CHANCE
+        assert not answer.inliers.any()
+
+
+@pytest.mark.parametrize("method", ["magsac", "ransac"])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirror_image_is_named_though_its_rows_obey_an_epipolar_geometry(method: str, axis: int) -> None:
+    rng = np.random.default_rng(axis)
+    for wrong in (0, 20):
+        first = rng.uniform(0, [640, 480], (60, 2))
+        second = first + rng.normal(0, 0.3, first.shape)
+        second[:, axis] = (639, 479)[axis] - second[:, axis]
+        second[:wrong] = rng.uniform(0, [640, 480], (wrong, 2))
+        answer = verify_matches(first, second, seed=0, method=method)
+        assert answer.geometry is Geometry.MIRRORED
+        assert not answer.inliers.any()
+        # A camera that is upside down is none.
+        upside_down = verify_matches(first, [639.0, 479.0] - first, seed=0, method=method)
+        assert upside_down.geometry is Geometry.PLANE_OR_ROTATION
 
 
 def test_many_features_that_lead_to_one_are_no_geometry() -> None:

@@ -44,6 +44,8 @@ class Geometry(StrEnum):
     """Fewer than eight distinct matches."""
     CHANCE = "chance"
     """As many agree as would of matches that have nothing to do with each other."""
+    MIRRORED = "mirrored"
+    """One image is the mirror image of the other, or of parts of it: no camera sees that."""
     NOT_FINITE = "not_finite"
     """Fewer than eight matches are left without those that are NaN or infinite."""
 
@@ -54,7 +56,7 @@ class Verification:
 
     geometry: Geometry
     inliers: BoolArray
-    """(m,); none for COLLINEAR, TOO_FEW, CHANCE and NOT_FINITE."""
+    """(m,); none for COLLINEAR, TOO_FEW, CHANCE, MIRRORED and NOT_FINITE."""
     F: FloatArray | None = None
     """(3, 3) with x2ᵀ F x1 = 0, only for EPIPOLAR."""
     H: FloatArray | None = None
@@ -72,6 +74,8 @@ _HOMOGRAPHY_SAMPLE = 4
 _OFF_MODEL_SHARE = 0.05
 """F is determined if more than this share of its inliers (and more than eight) contradict the homography:
 an F fitted around a homography is free to pick up that many wrong matches."""
+_TURNED_OVER = -0.5
+"""Of the correlation below: a mirrored image's has -0.7 to -1, pairs of a camera in motion have more than 0."""
 
 
 def verify_matches(
@@ -126,10 +130,14 @@ def verify_matches(
     if H is not None and off_plane <= max(fundamental.SAMPLE, _OFF_MODEL_SHARE * agree):
         if not _more_than_chance(one, two, on_plane, threshold_px, plane=True):
             return answer(Geometry.CHANCE, none, iterations=fit.iterations)
+        if _is_mirrored(one[on_plane], two[on_plane]):
+            return answer(Geometry.MIRRORED, none, iterations=fit.iterations)
         geometry = _which_homography(one[on_plane], two[on_plane], K, _HOMOGRAPHY_FACTOR * threshold_px)
         return answer(geometry, on_plane, H=H, iterations=fit.iterations)
     if fit.F is None or not _more_than_chance(one, two, fit.inliers, threshold_px):
         return answer(Geometry.CHANCE, none, iterations=fit.iterations)
+    if _is_mirrored(one[fit.inliers], two[fit.inliers]):
+        return answer(Geometry.MIRRORED, none, iterations=fit.iterations)
     return answer(Geometry.EPIPOLAR, fit.inliers, F=fit.F, iterations=fit.iterations)
 
 
@@ -185,8 +193,27 @@ def _more_than_chance(
     else:
         sample, probability = fundamental.SAMPLE, chance_on_line(first, second, threshold_px)
     return significant(
-        first, second, inliers, sample=sample, probability=probability, cell_px=max(threshold_px, 1.0)
+        first, second, inliers, sample=sample, probability=probability, apart_px=max(5.0 * threshold_px, 5.0)
     )
+
+
+def _is_mirrored(first: FloatArray, second: FloatArray) -> bool:
+    """Whether what stands clockwise in one image stands the other way round in the other.
+
+    A row for a row or a column for a column is a perfectly good epipolar geometry, of points behind the camera.
+    The sign is that of det C12 / sqrt(det C11 det C22), the product of the canonical correlations of the two
+    images' points with their handedness: 1 for an affine map, -1 for one that turns the image over.
+    """
+    off = np.hstack([first, second])
+    off -= off.mean(axis=0)
+    both = off.T @ off
+    scale = _determinant(both[:2, :2]) * _determinant(both[2:, 2:])
+    return scale > 0 and _determinant(both[:2, 2:]) < _TURNED_OVER * math.sqrt(scale)
+
+
+def _determinant(C: FloatArray) -> float:
+    (a, b), (c, d) = C.tolist()
+    return float(a * d - b * c)
 
 
 def _which_homography(

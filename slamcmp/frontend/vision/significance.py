@@ -21,6 +21,8 @@ from slamcmp.types import BoolArray, FloatArray, IntArray
 
 LIMIT = 1e-2
 """Largest number of false alarms that is no chance: one pair in a hundred, at most."""
+_TABLE_MAX = 300
+"""Points whose mutual distances are looked at all at once."""
 
 
 def log10_false_alarms(matches: int, inliers: int, sample: int, probability: float) -> float:
@@ -38,12 +40,13 @@ def log10_false_alarms(matches: int, inliers: int, sample: int, probability: flo
     return (log + (inliers - sample) * math.log(probability)) / math.log(10.0)
 
 
-def distinct(first: FloatArray, second: FloatArray, threshold_px: float) -> int:
+def distinct(first: FloatArray, second: FloatArray, apart_px: float) -> int:
     """How many matches (m, 2) and (m, 2) are evidence of their own.
 
-    Those of one feature in either image count once: a model whose epipole lies there explains them all.
+    Those of one feature in either image count once: a model whose epipole lies there explains them all. Corners
+    less than ``apart_px`` from one another are one feature, for their patches are the same.
     """
-    return min(_different(_places(each, threshold_px)) for each in (first, second))
+    return min(_thinned(each, apart_px) for each in (first, second))
 
 
 def chance_on_line(first: FloatArray, second: FloatArray, threshold_px: float) -> float:
@@ -72,12 +75,21 @@ def significant(
     *,
     sample: int,
     probability: float,
-    cell_px: float,
+    apart_px: float,
 ) -> bool:
-    """Whether the inliers (m,) among matches (m, 2) and (m, 2) are more than chance explains."""
-    places = _places(first, cell_px), _places(second, cell_px)
-    n, k = (min(_different(each[rows]) for each in places) for rows in (slice(None), inliers))
-    return log10_false_alarms(n, k, sample, probability) <= math.log10(LIMIT)
+    """Whether the inliers (m,) among matches (m, 2) and (m, 2) are more than chance explains.
+
+    See :func:`distinct`. Counted one by one only where a quarter of the matches leaves it open: those in every
+    other row and every other column of cells, of which no two are one feature.
+    """
+
+    def passes(n: int, k: int) -> bool:
+        return log10_false_alarms(n, k, sample, probability) <= math.log10(LIMIT)
+
+    quarters = [_quarter(each, inliers, apart_px) for each in (first, second)]
+    if passes(max(n for n, _ in quarters), min(k for _, k in quarters)):
+        return True
+    return passes(distinct(first, second, apart_px), distinct(first[inliers], second[inliers], apart_px))
 
 
 def _log_choose(n: int, k: int) -> float:
@@ -90,13 +102,29 @@ def _extent(points: FloatArray, least_px: float) -> tuple[float, float]:
     return width, height
 
 
-def _places(points: FloatArray, cell_px: float) -> IntArray:
-    """Numbers (m,) of the image's cells that the points lie in."""
-    column, row = np.floor(points * (1.0 / cell_px)).astype(np.int64).T
-    numbers: IntArray = column * (1 << 32) + row
-    return numbers
+def _quarter(points: FloatArray, inliers: BoolArray, cell_px: float) -> tuple[int, int]:
+    """Of the cells in every other row and column: those that hold one of the points, and one of the inliers."""
+    column, row = np.floor(points.T * (1.0 / cell_px)).astype(np.int64)
+    counted = (column | row) & 1 == 0
+    numbers = column * (1 << 32) + row
+    return _different(numbers[counted]), _different(numbers[counted & inliers])
 
 
 def _different(numbers: IntArray) -> int:
     ordered = np.sort(numbers)
     return int((ordered[1:] != ordered[:-1]).sum()) + (ordered.size > 0)
+
+
+def _thinned(points: FloatArray, apart_px: float) -> int:
+    """How many of the points (m, 2) stay if each that stays takes away all that are nearer."""
+    alone = 0
+    if len(points) <= _TABLE_MAX:
+        off_x, off_y = (axis[:, None] - axis for axis in points.T)
+        near = off_x * off_x + off_y * off_y < apart_px**2
+        crowded = near.sum(axis=1) > 1
+        alone, points = int((~crowded).sum()), points[crowded]
+    while len(points):
+        alone += 1
+        off = points - points[0]
+        points = points[(off * off).sum(axis=1) >= apart_px**2]
+    return alone

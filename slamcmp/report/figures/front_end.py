@@ -36,6 +36,7 @@ SAYING = {
     "collinear": "points on one line: nothing can be judged",
     "too_few": "fewer than eight distinct matches: nothing can be judged",
     "chance": "no more matches agree than chance explains: nothing can be judged",
+    "mirrored": "a mirror image: no camera sees that, nothing can be judged",
     "not_finite": "matches that are not finite: nothing can be judged",
 }
 """For each of ``frontend.vision.degeneracy.Geometry``."""
