@@ -75,7 +75,7 @@ _OFF_MODEL_SHARE = 0.05
 """F is determined if more than this share of its inliers (and more than eight) contradict the homography:
 an F fitted around a homography is free to pick up that many wrong matches."""
 _TURNED_OVER = -0.5
-"""Of the correlation below: a mirrored image's has -0.7 to -1, pairs of a camera in motion have more than 0."""
+"""Of the correlation below: a mirrored image's is -0.7 to -1, of pairs of a moving camera above 0."""
 
 
 def verify_matches(
@@ -200,7 +200,7 @@ def _more_than_chance(
 def _is_mirrored(first: FloatArray, second: FloatArray) -> bool:
     """Whether what stands clockwise in one image stands the other way round in the other.
 
-    A row for a row or a column for a column is a perfectly good epipolar geometry, of points behind the camera.
+    A row for a row or a column for a column is a perfectly good epipolar geometry, of points behind a camera.
     The sign is that of det C12 / sqrt(det C11 det C22), the product of the canonical correlations of the two
     images' points with their handedness: 1 for an affine map, -1 for one that turns the image over.
     """

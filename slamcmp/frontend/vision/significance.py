@@ -43,8 +43,8 @@ def log10_false_alarms(matches: int, inliers: int, sample: int, probability: flo
 def distinct(first: FloatArray, second: FloatArray, apart_px: float) -> int:
     """How many matches (m, 2) and (m, 2) are evidence of their own.
 
-    Those of one feature in either image count once: a model whose epipole lies there explains them all. Corners
-    less than ``apart_px`` from one another are one feature, for their patches are the same.
+    Those of one feature in either image count once: a model whose epipole lies there explains them all.
+    Corners less than ``apart_px`` from one another are one feature, for their patches are the same.
     """
     return min(_thinned(each, apart_px) for each in (first, second))
 
@@ -79,8 +79,8 @@ def significant(
 ) -> bool:
     """Whether the inliers (m,) among matches (m, 2) and (m, 2) are more than chance explains.
 
-    See :func:`distinct`. Counted one by one only where a quarter of the matches leaves it open: those in every
-    other row and every other column of cells, of which no two are one feature.
+    See :func:`distinct`. Counted one by one only where a quarter of the matches leaves it open: those in
+    every other row and every other column of cells, of which no two are one feature.
     """
 
     def passes(n: int, k: int) -> bool:
@@ -103,7 +103,7 @@ def _extent(points: FloatArray, least_px: float) -> tuple[float, float]:
 
 
 def _quarter(points: FloatArray, inliers: BoolArray, cell_px: float) -> tuple[int, int]:
-    """Of the cells in every other row and column: those that hold one of the points, and one of the inliers."""
+    """Of the cells in every other row and column: how many hold a point, and how many an inlier."""
     column, row = np.floor(points.T * (1.0 / cell_px)).astype(np.int64)
     counted = (column | row) & 1 == 0
     numbers = column * (1 << 32) + row
