@@ -15,6 +15,21 @@ class UsageError(SlamcmpError):
     exit_code = 2
 
 
+class NoSampleError(UsageError):
+    """Two samples of an experiment are one and the same stream; what ran is kept, and marked.
+
+    Args:
+        message: what is wrong and what would be right.
+        reason: what the rows of the second one say.
+    """
+
+    exit_code = 1
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
 class MissingDataError(SlamcmpError):
     """A file that the experiment needs is not on this machine."""
 

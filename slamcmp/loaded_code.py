@@ -21,6 +21,7 @@ import sys
 import sysconfig
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from importlib.machinery import (
     EXTENSION_SUFFIXES,
@@ -40,6 +41,8 @@ _digests: dict[str, str] = {}
 _folders: dict[Path, str] = {}
 """The current package of each user's folder."""
 _lock = threading.RLock()
+around_library_imports: Callable[[], AbstractContextManager[None]] = nullcontext
+"""Entered around what a user's module imports and does not lie beside it."""
 
 
 def loaded_digests() -> Mapping[str, str]:
@@ -234,8 +237,11 @@ def _importer(package: str) -> Callable[..., ModuleType]:
         fromlist: Sequence[str] = (),
         level: int = 0,
     ) -> ModuleType:
-        if level or not is_neighbour(name.partition(".")[0]):
+        if level:
             return builtins.__import__(name, globals, locals, fromlist, level)
+        if not is_neighbour(name.partition(".")[0]):
+            with around_library_imports():
+                return builtins.__import__(name, globals, locals, fromlist, level)
         whole = f"{package}.{name}"
         try:
             module = builtins.__import__(whole, globals, locals, fromlist or ("__name__",), 0)

@@ -45,6 +45,9 @@ def run(
 
     With published numbers in the file they stand beside the measured ones, with a verdict. The exit code is 1
     where a run failed, whatever the verdict is.
+
+    Results are reused while code, data and settings are the same. A plug-in of your own that may have read
+    files through a library in C is run anew each time, unless it declares them: register(..., files=[...]).
     """
     from slamcmp.experiment.executors.fork_server import warm_up
 

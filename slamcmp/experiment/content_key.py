@@ -58,17 +58,19 @@ class Snapshot:
             self._code[asked] = code_digests(asked)
         return self._code[asked]
 
-    def data(self, source: Component) -> DataFiles:
-        """The data files that a source says it reads."""
-        asked = json.dumps([source.spec, source.arguments()], sort_keys=True, default=str)
+    def data(self, component: Component) -> DataFiles:
+        """The data files that a source or a back end says it reads."""
+        asked = json.dumps(
+            [component.kind, component.spec, component.arguments()], sort_keys=True, default=str
+        )
         if asked not in self._data:
-            self._data[asked] = data_files(source)
+            self._data[asked] = data_files(component)
         return self._data[asked]
 
 
 @dataclass(frozen=True)
 class DataFiles:
-    """The data files that a source says it reads."""
+    """The data files that a source or a back end says it reads."""
 
     digests: Mapping[str, str]
     """sha256 by file name, or by path where names are alike."""
@@ -101,13 +103,16 @@ def run_key(
     snapshot: Snapshot | None = None,
 ) -> str:
     """Of a back end's run, with its scores, on the stream of that key."""
+    snapshot = snapshot or Snapshot()
+    data = snapshot.data(back_end).digests
     key = _hash(
         {
             "stream": stream,
             "back_end": [back_end.name, dict(back_end.parameters), back_end.own_gate],
             "limits": [time_limit_s, memory_limit_mb],
             "recording": recording,
-            **(snapshot or Snapshot()).named(run_code(back_end)),
+            **({"data": data} if data else {}),
+            **snapshot.named(run_code(back_end)),
         }
     )
     session = back_end.plugin().traits.get(SESSION)
@@ -127,15 +132,15 @@ def run_code(back_end: Component) -> set[Path]:
     return plugin_files(back_end.plugin()) | _package("models") | _package("metrics") | {worker}
 
 
-def data_files(source: Component) -> DataFiles:
-    """What a source says it reads, and the files' content.
+def data_files(component: Component) -> DataFiles:
+    """What a source or a back end says it reads, and the files' content.
 
     Raises:
         MissingDataError: one of them is not there.
         UsageError: a user's own list of files cannot be made.
     """
-    plugin = source.plugin()
-    paths = _declared(source, plugin)
+    plugin = component.plugin()
+    paths = _declared(component, plugin)
     names = [path.name for path in paths]
     if len(set(names)) < len(names):
         # The left and the right image of an instant are often called alike.
@@ -146,25 +151,25 @@ def data_files(source: Component) -> DataFiles:
     stamps: dict[str, tuple[int, ...]] = {}
     for name, path in zip(names, paths, strict=True):
         if not path.is_file():
-            raise MissingDataError(f"source {source.name!r}: there is no data file {path}")
+            raise MissingDataError(f"{component.kind} {component.name!r}: there is no data file {path}")
         # The stamp first: what changes while it is hashed is noticed later.
         stamps[str(path.absolute())] = stamp(path)
         digests[name] = file_digest(path)
     return DataFiles(digests, stamps)
 
 
-def _declared(source: Component, plugin: Plugin) -> list[Path]:
+def _declared(component: Component, plugin: Plugin) -> list[Path]:
     files = plugin.traits.get("files")
     if files is None:
         return []
     own = plugin.traits.get("user_file")
     try:
-        named = files(**bind_parameters(plugin, source.arguments())) if callable(files) else files
+        named = files(**bind_parameters(plugin, component.arguments())) if callable(files) else files
         paths = [Path(each) for each in ([named] if isinstance(named, str | Path) else named)]
     except MissingDataError as error:
-        if source.folder is None or not plugin.traits.get("paths"):
+        if component.folder is None or not plugin.traits.get("paths"):
             raise
-        folder = source.folder.resolve()
+        folder = component.folder.resolve()
         raise MissingDataError(f"{error}; looked beside the experiment file first, in {folder}") from error
     except SlamcmpError:
         raise
@@ -172,7 +177,7 @@ def _declared(source: Component, plugin: Plugin) -> list[Path]:
         if own is None:
             raise
         raise UsageError(
-            f"source {source.name!r}: its 'files' cannot be listed: {describe(error)}"
+            f"{component.kind} {component.name!r}: its 'files' cannot be listed: {describe(error)}"
         ) from error
     if own is not None:
         # Beside the file that names them, as its own code mostly finds them, unless they are only here.

@@ -73,6 +73,8 @@ def run_experiment(
     Raises:
         UsageError: the configuration cannot be used, or another run writes to the same folder.
         MissingDataError: a file the experiment needs is not there.
+        NoSampleError: two seeds or recordings are one and the same stream; what ran is in the tables, and
+            rows of the second are marked.
         StorageError: a result cannot be written.
         Interrupted: Ctrl-C, SIGTERM or SIGHUP; what was done is saved.
     """
@@ -124,6 +126,8 @@ def run_experiment(
         save_results(results)
     if rounds.fatal is not None:
         raise rounds.fatal
+    if tables.fault is not None:
+        raise tables.fault
     if stop.is_set() and (rounds.pending or rounds.unfinished):
         raise Interrupted(results)
     return results

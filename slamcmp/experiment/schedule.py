@@ -162,6 +162,7 @@ class Schedule:
         )
 
     def _run_task(self, job: RunJob) -> Task:
+        traits = job.back_end.plugin().traits
         return Task(
             "run",
             job.key,
@@ -176,7 +177,9 @@ class Schedule:
             record=job.record,
             own_gate=job.back_end.own_gate,
             code=job.code,
-            watched="user_file" in job.back_end.plugin().traits,
+            data=job.data,
+            watched="user_file" in traits,
+            declared="files" in traits,
         )
 
     def _finish(self, ended: Ended) -> None:

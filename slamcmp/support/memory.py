@@ -8,6 +8,8 @@ import resource
 import sys
 from pathlib import Path
 
+from slamcmp.support.unseen_reads import paused
+
 MB = 1024 * 1024
 
 
@@ -26,12 +28,10 @@ class PeakMemory:
 
 
 def _peak_mb() -> float:
-    try:
+    with contextlib.suppress(OSError), paused():
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024
-    except OSError:
-        pass
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / MB if sys.platform == "darwin" else peak / 1024
 

@@ -1,7 +1,8 @@
 """Which files code reads that nobody declared: what a result depends on beside its key.
 
 Python tells of every file that it opens, and of every folder that it lists (audit events). A library in C
-that opens files by itself does not: what may have been read that way is only known to be unknown.
+that opens files by itself does not: of what was read that way it is only known that there is something, where
+the system counts what a process reads (:mod:`slamcmp.support.unseen_reads`), or that there may be.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from slamcmp import loaded_code
 from slamcmp.loaded_code import is_library, loaded_digests
 from slamcmp.support.code_version import PACKAGE, file_digest, stamp
+from slamcmp.support.unseen_reads import UnseenReads, paused
 
 UNKNOWN = "?"
 """In place of a path: something was read that nobody saw; the value says what may have read it."""
@@ -45,6 +48,12 @@ class OpenedFiles:
         """Modules are known by what was executed, not by the file that was opened."""
         self.unseen: dict[str, None] = {}
         """What may have read something that is not among the files."""
+        self.calls_c = False
+        """Whether functions of a C library were called by hand (ctypes)."""
+        self.told_bytes = 0
+        """Sizes of the files opened for reading, together, whichever they are."""
+        self.reads = UnseenReads(self)
+        """To be asked where a library may have read by itself."""
 
     def inputs(self, known: Mapping[str, str]) -> dict[str, str]:
         """The digest of each, by absolute path, but for the files that are ``known`` by their digest."""
@@ -58,16 +67,22 @@ class OpenedFiles:
             found[path] = digest_of_input(path) if now == at_opening else CHANGING
         return found
 
+    def has_seen(self, path: str) -> bool:
+        """Whether the file is among those that were opened."""
+        return os.path.abspath(path) in self._stamps
+
     def note(self, event: str, arguments: tuple[Any, ...]) -> None:
         """An audit event."""
         if event == "open":
             path, mode, flags = arguments
             self._opened(path, mode, flags)
+            self._count(path, mode, flags)
         elif event in ("os.listdir", "os.scandir"):
             # Python's search for modules lists folders too.
             if not sys._getframe(2).f_code.co_filename.startswith("<frozen importlib"):
                 self._opened("." if arguments[0] is None else arguments[0], "r", 0)
         elif event in ("sqlite3.connect", "ctypes.dlopen"):
+            self.calls_c = self.calls_c or event == "ctypes.dlopen"
             if isinstance(arguments[0], str | bytes) and os.sep in os.fsdecode(arguments[0]):
                 self._opened(arguments[0], "r", 0)
         elif event in OTHER_PROGRAMS:
@@ -77,14 +92,16 @@ class OpenedFiles:
         if not isinstance(path, str | bytes | os.PathLike):
             return
         absolute = os.path.abspath(os.fsdecode(path))
-        if isinstance(mode, str):
-            writes = any(letter in mode for letter in "wax+")
-        else:
-            writes = bool(int(flags) & (os.O_WRONLY | os.O_RDWR))
-        if writes:
+        if _writes(mode, flags):
             self._written.add(absolute)
         elif absolute not in self._stamps and not self._is_ignored(absolute):
             self._stamps[absolute] = _stamp(absolute)
+
+    def _count(self, path: Any, mode: Any, flags: Any) -> None:
+        if not _writes(mode, flags):
+            # A file that is not there, or is no file, gives nothing to read.
+            with contextlib.suppress(OSError, TypeError, ValueError):
+                self.told_bytes += os.stat(path).st_size
 
     def _is_ignored(self, absolute: str) -> bool:
         within = any(absolute == each or absolute.startswith(each + os.sep) for each in self._ignored)
@@ -102,6 +119,7 @@ def watched(opened: OpenedFiles) -> Iterator[OpenedFiles]:
     if not _installed:
         # It stays for the life of the process, and does nothing while nobody watches.
         sys.addaudithook(_hook)
+        loaded_code.around_library_imports = paused
         _installed = True
     before, _watching = _watching, opened
     try:
@@ -142,6 +160,12 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
         # What is raised here would end up in the code that opens the file.
         with contextlib.suppress(Exception):
             opened.note(event, arguments)
+
+
+def _writes(mode: Any, flags: Any) -> bool:
+    if isinstance(mode, str):
+        return any(letter in mode for letter in "wax+")
+    return bool(int(flags) & (os.O_WRONLY | os.O_RDWR))
 
 
 def _stamp(path: str) -> tuple[int, ...] | None:

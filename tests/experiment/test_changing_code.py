@@ -387,3 +387,86 @@ def test_shipped_sources_read_only_what_they_declare(tmp_path: Path) -> None:
         with watched(OpenedFiles()) as opened:
             source.plugin().target(0, **parameters)
         assert set(opened.inputs({})) <= {str(Path(path)) for path in data_files(source).stamps}
+
+
+UNSEEN_BACK_END = (
+    "import cv2\n" + HEADER + "class Mine(DeadReckoning):\n"
+    "    def __init__(self, problem):\n"
+    "        super().__init__(problem)\n"
+    "        self.value = {first}\n"
+    "    def update(self, frame):\n"
+    "        super().update(frame)\n"
+    "        self.T = self.T.copy()\n"
+    "        self.T[1, 2] = {later}\n"
+    "HERE = Path(__file__).parent\n"
+    "{extra}\n"
+)
+"""Does its arithmetic with a library in C; reads, if at all, in the constructor, in a frame, or on import."""
+READ = "float(cv2.imread(str(HERE / 'image.png'))[0, 0, 0])"
+BACK_ENDS_THAT_READ = {
+    "in its constructor": {"first": READ, "later": "self.value"},
+    "in a frame": {"first": "0", "later": f"({READ} if frame.k == 5 else 0)"},
+    "on import": {"first": "AT_IMPORT", "later": "self.value", "extra": f"AT_IMPORT = {READ}"},
+    "through a call of its own into C": {
+        "first": "libc().fopen(str(HERE / 'image.png').encode(), b'r') and 5.0",
+        "later": "self.value",
+        "extra": "import ctypes\ndef libc():\n    c = ctypes.CDLL(None)\n"
+        "    def fopen(path, mode):\n        c.fopen.restype = ctypes.c_void_p\n"
+        "        f = ctypes.c_void_p(c.fopen(path, mode))\n        return c.fgetc(f)\n"
+        "    return type('C', (), {'fopen': staticmethod(fopen)})\n",
+    },
+    "through another program": {
+        "first": "len(subprocess.check_output(['cat', str(HERE / 'image.png')]))",
+        "later": "self.value",
+        "extra": "import subprocess",
+    },
+}
+
+
+def write_reader(folder: Path, decorator: str = "", **parts: str) -> Path:
+    import cv2
+
+    text = UNSEEN_BACK_END.format(**{"extra": "", **parts})
+    text = text.replace("class Mine", f"{decorator}class Mine") if decorator else text
+    (folder / "mine.py").write_text(text)
+    cv2.imwrite(str(folder / "image.png"), np.full((4, 4, 3), 5, np.uint8))
+    return write(folder, "mine.py:Mine")
+
+
+@pytest.mark.parametrize("where", list(BACK_ENDS_THAT_READ))
+def test_back_end_that_reads_through_c_is_run_anew_each_time(tmp_path: Path, where: str) -> None:
+    path = write_reader(tmp_path, **BACK_ENDS_THAT_READ[where])
+    first = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert first.trials["status"].tolist() == ["ok"], first.trials["message"].tolist()
+    assert [text for text in first.manifest["warnings"] if text.startswith("Mine is run anew")]
+    again = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert (again.manifest["jobs_run"], again.manifest["jobs_reused"]) == (1, 0)
+
+
+def test_library_in_c_that_reads_nothing_costs_no_result(tmp_path: Path) -> None:
+    """It is imported, computes, and even reads a file that Python tells of."""
+    arithmetic = "float(cv2.norm(np.full(4, json.load(open(HERE / 'one.json')))))"
+    path = write_reader(tmp_path, first=arithmetic, later="self.value", extra="import json")
+    (tmp_path / "one.json").write_text("1.5\n")
+    first = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert first.frames["online_y"].iloc[-1] == pytest.approx(3.0)
+    assert not [text for text in first.manifest["warnings"] if "anew" in text]
+    again = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert (again.manifest["jobs_run"], again.manifest["jobs_reused"]) == (0, 1)
+    (tmp_path / "one.json").write_text("2.5\n")
+    changed = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert changed.frames["online_y"].iloc[-1] == pytest.approx(5.0)
+
+
+def test_files_that_a_back_end_declares_are_part_of_its_key(tmp_path: Path) -> None:
+    import cv2
+
+    decorator = "from slamcmp.registry import back_ends\n@back_ends.register('mine', files=['image.png'])\n"
+    path = write_reader(tmp_path, decorator, **BACK_ENDS_THAT_READ["in its constructor"])
+    first = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert first.frames["online_y"].iloc[-1] == 5.0
+    assert not [text for text in first.manifest["warnings"] if "anew" in text]
+    assert run_experiment(path, folder=tmp_path / "r", jobs=1).manifest["jobs_run"] == 0
+    cv2.imwrite(str(tmp_path / "image.png"), np.full((4, 4, 3), 50, np.uint8))
+    again = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert again.frames["online_y"].iloc[-1] == 50.0

@@ -11,6 +11,7 @@ from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.runner import run_experiment
+from slamcmp.results.store import load_results
 
 
 def drive(path: Path, seed: int) -> None:
@@ -128,8 +129,13 @@ def test_what_is_no_list_of_recordings(three: Path, source: str, more: str, mess
 def test_copies_of_one_recording_are_one_sample(three: Path) -> None:
     (three / "b.g2o").write_text((three / "a.g2o").read_text())
     path = experiment_file(three, "{name: graph_file, path: [a.g2o, b.g2o]}")
-    with pytest.raises(UsageError, match=r"recordings 'a\.g2o' and 'b\.g2o' are one and the same stream"):
+    with pytest.raises(
+        UsageError, match=r"recordings 'a\.g2o' and 'b\.g2o' are one and the same stream"
+    ) as caught:
         run_experiment(path, folder=three / "r", jobs=1)
+    assert caught.value.exit_code == 1
+    rows = load_results(three / "r").trials.groupby("recording")["status"].agg(list).to_dict()
+    assert rows == {"a.g2o": ["ok"] * len(rows["a.g2o"]), "b.g2o": ["missing"] * 3}
 
 
 SOURCE = """
@@ -150,6 +156,13 @@ def test_twelve_seeds_of_one_recording_are_no_twelve_samples(three: Path) -> Non
         run_experiment(path, folder=three / "r", jobs=1)
     # No more is run than had begun when the second stream was made.
     assert len(list((three / "r" / "runs").glob("*.npz"))) <= 4
+    # What had run is a partial result, not a lost one; the second seed's rows say what is wrong.
+    told = load_results(three / "r")
+    assert told.manifest["jobs_missing"] >= 3
+    rows = told.trials.set_index("seed")
+    assert set(rows.loc[[0], "status"]) == {"ok"}
+    assert rows.loc[[1], "status"].tolist() == ["missing"] * 3
+    assert rows.loc[1, "message"].unique().tolist() == ["no sample of its own: seed 0 has this very stream"]
     one = run_experiment(
         experiment_file(three, "{name: 'own.py:recorded'}", "sweep: {source.steps: [5, 20]}\n"),
         folder=three / "r",

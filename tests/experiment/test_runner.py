@@ -239,6 +239,8 @@ def test_streams_that_differ_are_never_compared(write_experiment: Write, tmp_pat
     save_truth(type(known)("0" * 64, known.frames, known.truth, known.front_end), truth_file)
     with pytest.raises(SlamcmpError, match="ran on different streams"):
         run_experiment(path, folder=tmp_path / "r", jobs=1)
+    # What there is stays in the tables, marked.
+    assert load_results(tmp_path / "r").trials["status"].tolist() == ["missing"] * 2
 
 
 def test_truth_file_round_trip(tmp_path: Path) -> None:

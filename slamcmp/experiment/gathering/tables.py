@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import NoSampleError, SlamcmpError
 from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.gathering.inspection import FINDINGS, Inspector
 from slamcmp.experiment.job.fault import Fault
@@ -24,7 +24,7 @@ from slamcmp.results.of_runs import COST_COLUMNS, outcome
 from slamcmp.results.posteriors import kl_series, load_posteriors
 from slamcmp.results.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.support.messages import describe, told
-from slamcmp.support.opened_files import changed
+from slamcmp.support.opened_files import UNKNOWN, changed
 from slamcmp.types import GroundTruth
 
 KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")
@@ -40,6 +40,8 @@ class Tables(NamedTuple):
     frames: pd.DataFrame
     landmarks: pd.DataFrame
     warnings: tuple[str, ...] = ()
+    fault: SlamcmpError | None = None
+    """Why rows are marked that have a result all the same."""
 
 
 def gather(
@@ -60,15 +62,14 @@ def gather(
         lost: by run key, why there is no result.
         pending: keys of the jobs that were not come to; only these have no row.
 
-    Raises:
-        SlamcmpError: back ends of one trial did not get the same stream.
-        UsageError: two samples are one and the same stream.
+    What must not stand side by side (runs of one trial on different streams, one stream as two samples) is
+    marked in its rows: nothing that was computed is lost over it.
     """
     gathering = _Gathering(trials, folder, reference, stream_faults, lost or {}, pending)
     for trial in trials:
         gathering.add(trial)
     rows = gathering.rows
-    warnings: list[str] = []
+    warnings = list(gathering.warnings)
     tables: list[pd.DataFrame] = []
     for name, found in (("frames", gathering.frames), ("landmarks", gathering.landmarks)):
         try:
@@ -78,7 +79,7 @@ def gather(
             tables.append(_joined([], trials))
             warnings.append(f"there is not enough memory for the table of {name}: it is empty")
     of_trials = _typed(pd.DataFrame(rows, columns=_columns(trials, rows)))
-    return Tables(of_trials, tables[0], tables[1], tuple(warnings))
+    return Tables(of_trials, tables[0], tables[1], tuple(warnings), gathering.fault)
 
 
 class _Gathering:
@@ -100,6 +101,8 @@ class _Gathering:
         self.rows: list[dict[str, Any]] = []
         self.frames: list[pd.DataFrame] = []
         self.landmarks: list[pd.DataFrame] = []
+        self.warnings: dict[str, None] = {}
+        self.fault: SlamcmpError | None = None
 
     def add(self, trial: Trial) -> None:
         """The rows of one trial: one a run, but for those that were not come to."""
@@ -109,12 +112,12 @@ class _Gathering:
                 self._add_fault(trial, job, fault)
             return
         known, found = self._read(trial)
+        if known is not None:
+            self._mark_other_streams(trial, known, found)
+            self._mark_no_sample(trial, known, found)
         runs = [run for run in found.values() if isinstance(run, StoredRun)]
         truth, name, inspector = None, "none", None
         if known is not None:
-            _require_one_stream(trial, known, runs)
-            if runs:
-                self._samples.add(trial, known.digest)
             truth, name = trial_truth(known, runs, self._reference)
             borrowed = truth is not None and known.truth is None
             file = stream_path(self._folder, known.digest)
@@ -124,12 +127,48 @@ class _Gathering:
         for job in trial.runs:
             run = found.get(job.key)
             if isinstance(run, StoredRun) and known is not None and inspector is not None:
+                unseen = run.inputs.get(UNKNOWN)
+                if unseen:
+                    self.warnings[
+                        f"{job.back_end.label} is run anew each time, for it uses {unseen}, which may read "
+                        "files that nobody sees; name them with @back_ends.register(..., files=...) and its "
+                        "results are kept"
+                    ] = None
                 try:
                     self._add_run(trial, job, run, known, truth, name, inspector)
                 except Exception as error:
                     self._add_fault(trial, job, _not_gathered(error), digest)
             elif isinstance(run, Fault):
                 self._add_fault(trial, job, run, digest)
+
+    def _mark_other_streams(
+        self, trial: Trial, known: StoredTruth, found: dict[str, StoredRun | Fault]
+    ) -> None:
+        other = [
+            (key, run.run.digest)
+            for key, run in found.items()
+            if isinstance(run, StoredRun) and run.run.digest != known.digest
+        ]
+        if not other:
+            return
+        digests = ", ".join(sorted({known.digest[:12], *(digest[:12] for _, digest in other)}))
+        self.fault = self.fault or SlamcmpError(
+            f"trial {trial.number}: its back ends ran on different streams ({digests}), so their results "
+            "cannot be compared; the source or the front end does not repeat itself: delete the results "
+            "folder and make them depend on nothing but the seed; until then these rows are marked as missing"
+        )
+        for key, digest in other:
+            found[key] = Fault("missing", f"it ran on another stream ({digest[:12]}) than its trial's")
+
+    def _mark_no_sample(self, trial: Trial, known: StoredTruth, found: dict[str, StoredRun | Fault]) -> None:
+        if not known.digest:
+            return
+        try:
+            self._samples.add(trial, known.digest)
+        except NoSampleError as error:
+            self.fault = self.fault or error
+            marked = Fault("missing", f"no sample of its own: {error.reason}")
+            found.update(dict.fromkeys((job.key for job in trial.runs), marked))
 
     def _read(self, trial: Trial) -> tuple[StoredTruth | None, dict[str, StoredRun | Fault]]:
         """What is known about a trial, and each run that was come to, or why it cannot be read."""
@@ -253,17 +292,6 @@ def trial_truth(
         if run.back_end == reference and run.status == "ok" and run.final is not None:
             return reference_truth(run), f"{reference} (final)"
     return None, "none"
-
-
-def _require_one_stream(trial: Trial, known: StoredTruth, runs: Sequence[StoredRun]) -> None:
-    digests = {run.run.digest for run in runs} | {known.digest}
-    if len(digests) > 1:
-        raise SlamcmpError(
-            f"trial {trial.number}: its back ends ran on different streams "
-            f"({', '.join(sorted(digest[:12] for digest in digests))}), so their results cannot be compared; "
-            "the source or the front end does not repeat itself: delete the results folder and make them "
-            "depend on nothing but the seed"
-        )
 
 
 def _keys(trial: Trial, choice: Component, digest: str, kinds: Mapping[str, str]) -> dict[str, Any]:

@@ -95,11 +95,20 @@ def inputs(task: Task, opened: OpenedFiles) -> dict[str, str]:
 
 
 def unseen_readers(task: Task, opened: OpenedFiles) -> str:
-    """What may have read files for a user's source without anybody seeing it; empty where nothing may."""
-    if task.kind != "stream" or task.declared:
+    """What may have read files for a user's plug-in without anybody seeing it; empty where nothing did.
+
+    A source often reads through libraries; of a back end the bytes are counted.
+    """
+    if task.declared:
         return ""
     own = [Path(path) for path in task.code if not Path(path).is_relative_to(PACKAGE)]
     libraries = sorted({name for path in own for name in foreign_imports(path)} - SEEN)
+    if opened.calls_c:
+        libraries.append("a C library")
+    # What was loaded before, in a process that does more than one job, nobody counted.
+    fresh = not any(str(path) in opened.loaded_before for path in own)
+    if task.kind == "run" and fresh and opened.reads.nothing:
+        libraries = []
     return ", ".join([*libraries, *opened.unseen])
 
 

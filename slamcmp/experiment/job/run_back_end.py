@@ -17,6 +17,7 @@ from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Select
 from slamcmp.support.memory import PeakMemory
 from slamcmp.support.messages import describe, told
 from slamcmp.support.shared_arrays import SharedArrays
+from slamcmp.support.unseen_reads import paused
 from slamcmp.types import (
     TANGENT_DIM,
     Estimate,
@@ -114,11 +115,13 @@ def _guarded(action: Callable[[], str | None], collected: Collected) -> tuple[St
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        message = told(f"{collected.where()}: {describe(error)}")
-        # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
-        # or on a full disk there may be no log to write.
-        with contextlib.suppress(Exception):
-            traceback.print_exc()
+        # The lines of a traceback are read from the files.
+        with paused():
+            message = told(f"{collected.where()}: {describe(error)}")
+            # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
+            # or on a full disk there may be no log to write.
+            with contextlib.suppress(Exception):
+                traceback.print_exc()
         return "crashed", message
 
 

@@ -43,7 +43,7 @@ class Task:
     watched: bool = False
     """Whether to note which other files are read: plug-ins of users do not declare them all."""
     declared: bool = False
-    """Whether a user's source says which files it reads: its author vouches for what nobody sees."""
+    """Whether a user's plug-in says which files it reads: its author vouches for what nobody sees."""
 
     @property
     def result(self) -> Path:

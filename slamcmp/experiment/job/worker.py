@@ -63,7 +63,9 @@ def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | N
                 file.unlink(missing_ok=True)
             raise LostStreamError(told(str(error))) from error
         ((spec, parameters),) = task.plugins
-        plugin = back_ends.get(spec)
+        counted = opened.reads.counted if task.watched else contextlib.nullcontext
+        with counted():
+            plugin = back_ends.get(spec)
         bound = bind_parameters(plugin, dict(parameters))
         recorder = None if task.record is None else Recorder(task.record, len(stream.frames))
 
@@ -72,17 +74,18 @@ def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | N
             made = _make_back_end(plugin, problem, bound, task)
             return made if recorder is None else recorder.begin(made)
 
-        run = run_back_end(
-            make,
-            stream,
-            label=task.label,
-            parameters=parameters,
-            seed=task.seed,
-            time_limit_s=task.time_limit_s,
-            heartbeat=heartbeat,
-            shared=shared,
-            after_frame=None if recorder is None else recorder.after_frame,
-        )
+        with counted():
+            run = run_back_end(
+                make,
+                stream,
+                label=task.label,
+                parameters=parameters,
+                seed=task.seed,
+                time_limit_s=task.time_limit_s,
+                heartbeat=heartbeat,
+                shared=shared,
+                after_frame=None if recorder is None else recorder.after_frame,
+            )
     if run.status != "ok":
         require_unchanged(task)
     if recorder is not None and recorder.posteriors:

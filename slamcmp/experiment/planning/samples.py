@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from slamcmp.errors import UsageError
+from slamcmp.errors import NoSampleError
 from slamcmp.experiment.planning.trials import Trial
 
 
@@ -23,7 +23,7 @@ class Samples:
         """Take in the stream of a trial.
 
         Raises:
-            UsageError: another seed or recording of the same grid point has this very stream.
+            NoSampleError: another seed or recording of the same grid point has this very stream.
         """
         point = json.dumps(dict(trial.swept), sort_keys=True, default=str)
         other = self._seen.setdefault((point, digest), trial)
@@ -31,16 +31,16 @@ class Samples:
             return
         source = trial.stream.source.name
         if trial.recording:
-            raise UsageError(
+            raise NoSampleError(
                 f"source {source!r}: recordings {other.recording!r} and {trial.recording!r} are one "
-                "and the same "
-                f"stream ({digest[:12]}…), and no two samples: name each recording once"
+                f"and the same stream ({digest[:12]}…), and no two samples: name each recording once",
+                f"recording {other.recording!r} has this very stream",
             )
-        raise UsageError(
+        raise NoSampleError(
             f"source {source!r} makes one and the same stream ({digest[:12]}…) of seeds {other.seed} and "
             f"{trial.seed}, and no two samples of it: leave seeds out (a source of recorded data "
-            "registers itself with "
-            "seeded=False), or let what is drawn depend on the seed"
+            "registers itself with seeded=False), or let what is drawn depend on the seed",
+            f"seed {other.seed} has this very stream",
         )
 
 

@@ -40,6 +40,8 @@ class RunJob:
     record: Record | None = None
     code: Mapping[str, str] = field(default_factory=dict)
     """sha256 of each source file that the key names, by path."""
+    data: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """What each declared data file looked like when it was hashed."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,14 @@ def make_trials(experiment: Experiment) -> list[Trial]:
             stream = StreamJob(key, source, front_end, seed, made_by, snapshot.data(source).stamps)
             runs = tuple(
                 RunJob(
-                    run_key(key, each, *limits, recording, snapshot), key, each, seed, *limits, record, code
+                    run_key(key, each, *limits, recording, snapshot),
+                    key,
+                    each,
+                    seed,
+                    *limits,
+                    record,
+                    code,
+                    snapshot.data(each).stamps,
                 )
                 for each, code in zip(back_ends, run_by, strict=True)
             )
