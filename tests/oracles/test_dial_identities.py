@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import gtsam
@@ -15,8 +16,9 @@ from slamcmp.backends.filters.variants import FirstEstimatesEkf
 from slamcmp.backends.gtsam_smoothers.factors import pose_key
 from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, poses_in
 from slamcmp.backends.window.sliding_window import SlidingWindow
+from slamcmp.errors import DivergedError
 from slamcmp.types import TANGENT_DIM, Frame, MeasurementStream, Problem
-from tests.backends.graph_streams import spatial_stream
+from tests.backends.graph_streams import run, spatial_stream
 from tests.toy_stream import toy_stream
 
 # GTSAM's logarithm of a Pose2 cancels where the heading's residual is small: below 1e-4 rad its steps never
@@ -71,6 +73,34 @@ def test_window_one_with_first_estimates_is_the_fej_ekf(make: Any) -> None:
         fej.update(frame)
         window.update(frame)
         assert_same_posterior(window, fej)
+
+
+LOST = "first-estimate Jacobians are far from the estimates"
+
+
+def test_both_give_up_where_first_estimates_are_far() -> None:
+    """Twenty times the toy world's noise; without the limit both are 7 km away at frame 200."""
+    stream = toy_stream(frames=120, landmarks=30, noise=20.0)[0]
+    fej = FirstEstimatesEkf(stream.problem)
+    window = SlidingWindow(stream.problem, window=1, iterations=1, linearisation="fej")
+    said = []
+    for estimator in (fej, window):
+        with pytest.raises(DivergedError, match=LOST) as caught:
+            run(estimator, stream)
+        said.append(str(caught.value))
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize(
+    ("window", "frames", "noise", "seen"), [(1, 90, 20.0, 5), (5, 170, 20.0, 5), (10, 120, 35.0, 2)]
+)
+def test_windows_of_first_estimates_give_up_too(window: int, frames: int, noise: float, seen: int) -> None:
+    """And with the latest linearisation the same worlds are no reason to."""
+    stream = toy_stream(frames=frames, landmarks=30, noise=noise, seen_at_once=seen)[0]
+    for policy in ("fej", "latest"):
+        smoother = SlidingWindow(stream.problem, window=window, iterations=5, linearisation=policy)
+        with pytest.raises(DivergedError, match=LOST) if policy == "fej" else nullcontext():
+            run(smoother, stream)
 
 
 @pytest.mark.parametrize("make", STREAMS)

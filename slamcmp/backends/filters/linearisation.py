@@ -9,20 +9,11 @@ l - p = l_N - p_N. A policy that keeps this for every frame keeps the unobservab
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from slamcmp.errors import DivergedError, UsageError
+from slamcmp.backends.far_points import FarPoints
+from slamcmp.errors import UsageError
 from slamcmp.types import FloatArray, GroundTruth, IntArray
-
-FARTHEST = 3.0
-"""How far points of linearisation may lie from the estimates, in units of the distance to the landmarks seen.
-
-A correction of the heading moves a landmark at r by as much as r is long, and was computed for r + d. Where
-it is wholly trusted it leaves |d| / |r + d| of what it should have removed: from |d| = |r| on it may help
-nothing, and at 3 |r| it can make three of one, frame after frame. Below that a filter lives, for no
-correction is wholly trusted (in the published loops of P2 first estimates lie up to twice as far off)."""
 
 Points = tuple[FloatArray, FloatArray]
 """A pose (n+1, n+1) and landmarks (m, n), or two poses."""
@@ -64,31 +55,19 @@ class LatestEstimate:
 
 
 class RememberedPoints(LatestEstimate):
-    """Points that stay behind when the estimates move on, and may be left too far behind."""
+    """Points that stay behind when the estimates move on, and may be left too far behind (far_points.py)."""
 
     def __init__(self) -> None:
-        self._squares, self._sightings = 0.0, 0
+        self._far = FarPoints()
 
     def require_near(self, k: int, T: FloatArray, landmarks: FloatArray, at: Points) -> None:
         """Compare where frame k's landmarks lie from the robot, by the points and by the estimates.
 
-        The distance to landmarks is the root-mean-square of all so far, by the points, which cannot diverge.
-
         Raises:
-            DivergedError: root-mean-square, they differ by more than :data:`FARTHEST` times that distance.
+            DivergedError: one lies too far off.
         """
         T_at, landmarks_at = at
-        r_at = landmarks_at - T_at[:-1, -1]
-        self._squares += float((r_at**2).sum())
-        self._sightings += len(r_at)
-        d = r_at - (landmarks - T[:-1, -1])
-        distance = math.sqrt(self._squares / self._sightings)
-        apart = math.sqrt(float((d**2).sum()) / len(d))
-        if apart > FARTHEST * distance:
-            raise DivergedError(
-                f"frame {k}: first-estimate Jacobians are far from the estimates, {apart:.3g} m where "
-                f"landmarks are seen from {distance:.3g} m; the map has moved too far since they were taken"
-            )
+        self._far.require_near(k, landmarks_at - T_at[:-1, -1], landmarks - T[:-1, -1])
 
 
 class FirstEstimates(RememberedPoints):
@@ -123,6 +102,7 @@ class FirstEstimates(RememberedPoints):
 
     def new(self, T: FloatArray, ids: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         self._landmarks = np.concatenate([self._landmarks, landmarks])
+        self._far.placed(landmarks - T[:-1, -1])
         return (self._T_first if self._new_at_predicted else T), landmarks
 
 
@@ -161,6 +141,7 @@ class ObservabilityConstrained(RememberedPoints):
         return T, self._null_landmarks[numbers] + T[:-1, -1] - self._null_position
 
     def new(self, T: FloatArray, ids: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
+        self._far.placed(landmarks - T[:-1, -1])
         shifted = landmarks - self._T_predicted[:-1, -1] + self._null_position
         self._null_landmarks = np.concatenate([self._null_landmarks, shifted])
         return self._T_predicted, landmarks

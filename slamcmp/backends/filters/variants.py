@@ -50,7 +50,7 @@ class FirstEstimatesEkf(ErrorStateEkf):
 
     ``new_landmark_jacobian`` matters with ``update_first`` only: "predicted" keeps the gauge, "updated" is
     how published code has it. A map that has moved too far from its first estimates makes every correction
-    worse: the filter then gives up, and says so (linearisation.py).
+    worse: the filter then gives up, and says so (far_points.py).
     """
 
     def __init__(
@@ -68,7 +68,10 @@ class FirstEstimatesEkf(ErrorStateEkf):
 
 @back_ends.register("ekf_oc")
 class ObservabilityConstrainedEkf(ErrorStateEkf):
-    """Observability-constrained EKF-SLAM (Huang, Mourikis, Roumeliotis 2010)."""
+    """Observability-constrained EKF-SLAM (Huang, Mourikis, Roumeliotis 2010).
+
+    It gives up as ``ekf_fej`` does.
+    """
 
     def __init__(
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False

@@ -72,8 +72,8 @@ class SlidingWindow:
     Raises:
         UsageError: the prior or an odometry covariance is singular.
         DataError: a measurement that should place a landmark does not.
-        DivergedError: the information matrix is not positive definite, or not finite, or most landmarks that
-            a camera sees are behind it.
+        DivergedError: the information matrix is not positive definite, or not finite, most landmarks that
+            a camera sees are behind it, or first estimates are far from the present ones (far_points.py).
     """
 
     def __init__(
@@ -149,6 +149,8 @@ class SlidingWindow:
         for iteration in range(1, self._iterations + 1):
             if not self._frozen:
                 window.linearise()
+            if iteration == 1:
+                window.require_near_points(len(self._t) - 1)
             step = window.gauss_newton_step()
             whole_step = np.concatenate([step.pose_step.ravel(), step.landmark_step.ravel()])
             first_try = relaxed_share(whole_step, last_step, share)

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from slamcmp.backends.entries import places_by_itself
+from slamcmp.backends.far_points import FarPoints
 from slamcmp.backends.sights import Measurements, Sights, padded
 from slamcmp.backends.whitening import whitener, whiteners
 from slamcmp.backends.window.cost import (
@@ -103,6 +104,7 @@ class Window:
         """Of each landmark, by id."""
         self.measurements = Measurements.none(d)
         self.points = LinearisationPoints(self.T, self.landmarks, policy == "fej")
+        self._far = FarPoints()
         self.listener = WindowListener()
 
         W = whitener(problem.P, "the prior covariance Problem.P")
@@ -139,6 +141,7 @@ class Window:
             return
         for landmark in ids.tolist():
             self.number[landmark] = len(self.number)
+        self._far.placed(positions - self.T[-1, :-1, -1])
         self.landmarks = np.concatenate([self.landmarks, positions])
         self.points.landmarks = np.concatenate([self.points.landmarks, positions])
 
@@ -166,6 +169,23 @@ class Window:
             self._observation_terms(slice(None)),
         )
         self.listener.linearised(self.prior, self.T[0])
+
+    def require_near_points(self, k: int) -> None:
+        """Compare where landmarks lie from the poses that see them, by the last linearisation and by the
+        estimates; only first estimates can differ.
+
+        Args:
+            k: the newest pose's frame, for the message.
+
+        Raises:
+            DivergedError: one lies too far off (far_points.py).
+        """
+        points, rows = self.points, self.measurements
+        if not points.first_estimates:
+            return
+        r_at = points.landmarks[rows.landmark_of] - points.T[rows.pose_of, :-1, -1]
+        r = self.landmarks[rows.landmark_of] - self.T[rows.pose_of, :-1, -1]
+        self._far.require_near(k, r_at, r)
 
     def linearise_new(self) -> None:
         """The observations that ``cost`` does not have yet."""
