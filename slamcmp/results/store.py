@@ -30,6 +30,8 @@ MANIFEST = "manifest.json"
 AGAIN = "run the experiment again: what finished is reused"
 DIGESTS = "tables_sha256"
 """The key of the manifest under which the tables that belong to it are known by their content."""
+OWN_DIGEST = "manifest_sha256"
+"""The key under which the manifest is known by its own content."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,10 @@ def save_results(results: Results) -> None:
                 digests[name] = hashlib.file_digest(file, "sha256").hexdigest()
         # So that the manifest of one run and a table of another are never read as one.
         results.manifest[DIGESTS] = digests
-        text = json.dumps(finite(results.manifest), indent=2, default=str, allow_nan=False)
+        results.manifest.pop(OWN_DIGEST, None)
+        plain = json.loads(json.dumps(finite(results.manifest), default=str, allow_nan=False))
+        results.manifest[OWN_DIGEST] = plain[OWN_DIGEST] = manifest_digest(plain)
+        text = json.dumps(plain, indent=2)
         write_atomically(staging / MANIFEST, lambda file: file.write(text.encode()))
         for name in (*(f"{table}.parquet" for table in TABLES), MANIFEST):
             try:
@@ -102,6 +107,13 @@ def finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [finite(each) for each in value]
     return f"{value}" if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def manifest_digest(manifest: Mapping[str, Any]) -> str:
+    """sha256 of a manifest but for its own hash: of its JSON with sorted keys and no white space."""
+    content = {key: value for key, value in manifest.items() if key != OWN_DIGEST}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
 
 
 def load_results(folder: Path | str) -> Results:
@@ -129,6 +141,11 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise DataError(
             f"{folder / MANIFEST}: is no manifest of this version: it must hold the mappings 'config' and "
             f"{DIGESTS!r}; {AGAIN}"
+        )
+    if manifest.get(OWN_DIGEST) != manifest_digest(manifest):
+        raise DataError(
+            f"{folder / MANIFEST}: is not as it was written (its {OWN_DIGEST!r} does not fit it): it was "
+            f"changed, or is of an older version; {AGAIN}"
         )
     found: dict[str, Any] = manifest
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import UsageError
+from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.gathering import manifest
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.store import load_results
@@ -48,7 +50,19 @@ def test_two_experiments_of_one_name_do_not_share_a_folder(write_experiment: Wri
     copied = elsewhere / first.name
     copied.write_text(first.read_text())
     assert run_experiment(copied, folder=folder, executor="serial").manifest["jobs_run"] == 0
+    # Of one seed too, and by a slamcmp that did not know all of today's settings.
+    run_experiment(copied, folder=folder, executor="serial", seeds=[0])
+    known = json.loads((folder / "manifest.json").read_text())
+    del known["config"]["memory_limit_mb"], known["config"]["source"]["truth"]
+    (folder / "manifest.json").write_text(json.dumps(known))
+    assert run_experiment(first, folder=folder, executor="serial").manifest["jobs_run"] == 0
+    for other in ({"sweep": {"source.steps": [4, 5]}}, {"question": "Another?"}, {"time_limit_s": 1.0}):
+        copied.write_text(json.dumps({**json.loads(first.read_text()), **other}))
+        with pytest.raises(UsageError, match="a different experiment of the same name"):
+            manifest.require_same_experiment(load_experiment(copied), folder)
     # A file may change at its place.
+    copied.write_text(first.read_text())
+    run_experiment(copied, folder=folder, executor="serial")
     copied.write_text(first.read_text().replace("DeadReckoning", "Hindsight"))
     run_experiment(copied, folder=folder, executor="serial")
     message = rf"r holds the results of {copied}, a different experiment of the same name; .* --results"

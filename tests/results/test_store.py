@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from typer.testing import CliRunner
 from slamcmp.cli import app
 from slamcmp.errors import DataError, MissingDataError, SlamcmpError, StorageError
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.results.store import MANIFEST, TABLES, load_results, save_results
+from slamcmp.results.store import MANIFEST, TABLES, load_results, manifest_digest, save_results
 
 Write = Callable[..., Path]
 
@@ -76,8 +77,43 @@ def test_a_damaged_manifest_is_refused(folder: Path, content: bytes) -> None:
 def test_a_manifest_that_knows_no_hash_of_a_table_is_refused(folder: Path) -> None:
     manifest = json.loads((folder / MANIFEST).read_text())
     del manifest["tables_sha256"]["frames"]
+    manifest["manifest_sha256"] = manifest_digest(manifest)
     (folder / MANIFEST).write_text(json.dumps(manifest))
     assert "frames.parquet" in refused(folder)
+
+
+def test_a_manifest_with_one_changed_byte_is_refused_or_says_the_same(folder: Path) -> None:
+    """White space says nothing; a letter of the question, a digit of the configuration or a warning does."""
+    content = (folder / MANIFEST).read_bytes()
+    told = json.loads(content)
+    spoilt_and_read = 0
+    for place in np.random.default_rng(2).integers(0, len(content), 150).tolist():
+        spoilt = bytearray(content)
+        spoilt[place] ^= 1 << (place % 7)
+        (folder / MANIFEST).write_bytes(spoilt)
+        try:
+            assert load_results(folder).manifest == told
+        except DataError:
+            spoilt_and_read += 1
+    assert spoilt_and_read > 100
+    for name, change in {
+        "question": lambda text: f"{text}x",
+        "config": lambda c: {**c, "seeds": [9]},
+    }.items():
+        (folder / MANIFEST).write_text(json.dumps({**told, name: change(told[name])}))
+        assert "is not as it was written" in refused(folder)
+    (folder / MANIFEST).write_text(json.dumps({k: v for k, v in told.items() if k != "manifest_sha256"}))
+    assert "older version" in refused(folder)
+    # Formatted by another program it is still the same.
+    (folder / MANIFEST).write_text(json.dumps(told, sort_keys=True))
+    assert load_results(folder).manifest == told
+
+
+def test_the_hash_of_a_manifest_as_documented(folder: Path) -> None:
+    manifest = json.loads((folder / MANIFEST).read_text())
+    told = manifest.pop("manifest_sha256")
+    text = json.dumps(manifest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    assert hashlib.sha256(text.encode()).hexdigest() == told
 
 
 def test_a_missing_file_is_missing_data(folder: Path) -> None:

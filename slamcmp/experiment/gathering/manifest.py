@@ -18,6 +18,9 @@ from slamcmp.registry import SESSION
 from slamcmp.results.store import finite
 from slamcmp.support.code_version import PACKAGE, versions
 
+WITH_DEFAULTS = frozenset({"source", "front_end", "back_ends"})
+"""Keys of a configuration below which every parameter stands, whether it was given or not."""
+
 
 def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
     """The part of a manifest that is known before anything ran."""
@@ -62,8 +65,8 @@ def now() -> str:
 def require_same_experiment(experiment: Experiment, folder: Path) -> None:
     """Keep one experiment from replacing the results of another that only has the same name.
 
-    Two files are the same experiment where both ask the same, or where the first is no longer at its place:
-    a file may change, and may move.
+    Two files are the same experiment where both ask the same, of however many seeds, or where the first is no
+    longer at its place: a file may change, and may move.
 
     Raises:
         UsageError: the folder holds the results of another file.
@@ -77,12 +80,32 @@ def require_same_experiment(experiment: Experiment, folder: Path) -> None:
         return
     if not other:
         return
-    if config == json.loads(json.dumps(finite(experiment.as_dict()), default=str)):
+    if _asks_the_same(config, json.loads(json.dumps(finite(experiment.as_dict()), default=str))):
         return
     raise UsageError(
         f"{folder} holds the results of {file}, a different experiment of the same name; these of "
         f"{experiment.path} need a 'name:' of their own, or another folder with --results"
     )
+
+
+def _asks_the_same(known: Any, now: Any, *, defaults: bool = True) -> bool:
+    """Whether two configurations differ in nothing but seeds, and settings that the first did not have yet.
+
+    With ``defaults`` every setting stands in both, so that one that is only in the second is newer than the
+    results.
+    """
+    if isinstance(known, dict) and isinstance(now, dict):
+        names = (known.keys() if defaults else known.keys() | now.keys()) - {"seeds"}
+        return all(
+            name in known
+            and name in now
+            and _asks_the_same(known[name], now[name], defaults=defaults and name in WITH_DEFAULTS)
+            for name in names
+        )
+    if isinstance(known, list) and isinstance(now, list):
+        pairs = zip(known, now, strict=False)
+        return len(known) == len(now) and all(_asks_the_same(a, b, defaults=defaults) for a, b in pairs)
+    return bool(known == now)
 
 
 def commit() -> dict[str, Any] | None:
