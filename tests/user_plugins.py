@@ -1,5 +1,6 @@
 """Plug-ins as a user writes them: in a file of their own. Most of them misbehave on purpose."""
 
+import ctypes
 import os
 import resource
 import signal
@@ -134,6 +135,39 @@ class EndlessMap(DeadReckoning):
     def landmarks(self) -> Landmarks:
         while True:
             pass
+
+
+def hang_as_a_library() -> None:
+    """Inside C with the interpreter's lock held, as GTSAM computes marginals: no signal handler runs."""
+    ctypes.PyDLL(None).sleep(600)
+
+
+class FinalCovariancesHang(Hindsight):
+    def trajectory(self) -> Trajectory:
+        hang_as_a_library()
+        return super().trajectory()
+
+
+class JointCovarianceHangs(Hindsight):
+    def landmarks(self) -> Landmarks:
+        return Landmarks(np.empty(0, dtype=int), np.empty((0, 2)), np.empty((0, 2, 2)))
+
+    def joint_covariance(self) -> np.ndarray:
+        hang_as_a_library()
+        return self.P
+
+
+class CovarianceHangsAt(DeadReckoning):
+    """The pose's own, asked for after every frame."""
+
+    def __init__(self, problem: Problem, *, frame: int = 30) -> None:
+        super().__init__(problem)
+        self.frame = frame
+
+    def estimate(self) -> Estimate:
+        if len(self.poses) == self.frame + 1:
+            hang_as_a_library()
+        return super().estimate()
 
 
 class MapSegfaults(DeadReckoning):

@@ -99,6 +99,30 @@ def test_end_phase_has_its_own_budget_and_keeps_the_online_part(
     assert not [each.name for each in (tmp_path / "r" / "runs").iterdir() if each.name.startswith(".")]
 
 
+def test_covariances_that_hang_inside_a_library_cost_no_online_figure(
+    write_experiment: Write, tmp_path: Path
+) -> None:
+    """Of every pose, of pose and map together, and of the newest pose at frame 30: each timed out, with the
+    numbers that a run without a time-out has for the same frames."""
+    hanging = ["FinalCovariancesHang", "JointCovarianceHangs", "CovarianceHangsAt"]
+    path = write_experiment(back_ends=["DeadReckoning", *hanging], time_limit_s=1.5)
+    results = run_experiment(path, folder=tmp_path / "r", jobs=4)
+    rows = by_label(results)
+    assert list(rows["status"]) == ["ok", "timed_out", "timed_out", "timed_out"], rows["message"]
+    clean = rows.loc["DeadReckoning"]
+    for label in hanging[:2]:
+        assert rows.loc[label, "message"].startswith("after 40 of 40 frames: what it is asked after the last")
+        for column in ("online_ate", "online_max_error", "online_last_pose_error", "online_pose_nees"):
+            assert rows.loc[label, column] == clean[column]
+        assert rows.loc[label, "completion"] == 1.0
+    assert rows.loc["CovarianceHangsAt", "completion"] == 30 / 40
+    frames = results.frames.set_index(["label", "k"])
+    for column in ("online_position_error_m", "online_pose_nees"):
+        np.testing.assert_array_equal(
+            frames.loc["CovarianceHangsAt"][column], frames.loc["DeadReckoning"][column].iloc[:30]
+        )
+
+
 def test_complete_result_outlives_the_death_of_its_process(write_experiment: Write, tmp_path: Path) -> None:
     path = write_experiment(back_ends=["DeadReckoning", "DiesInTheEnd"])
     results = run_experiment(path, folder=tmp_path / "r", jobs=1)

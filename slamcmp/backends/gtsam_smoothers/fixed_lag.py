@@ -18,6 +18,7 @@ import gtsam
 import numpy as np
 from annotated_types import Ge, Gt
 
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
 from slamcmp.backends.gtsam_smoothers.factors import landmark_key, pose_key
 from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, RobustKernel, diverged, require_finite
 from slamcmp.backends.gtsam_smoothers.incremental import Factorization, isam2_parameters
@@ -52,12 +53,16 @@ class FixedLag:
             takes ten times as long, and ``qr`` with ``drop``, where the marginalised past becomes so vague
             beside odometry that ``cholesky`` fails on Victoria Park.
         extra_updates: further Gauss-Newton steps a frame; for ``incremental``.
+        max_chi2_per_dof: as in ``batch``, of a run that is not longer than the window. What leaves a window
+            takes with it how badly it fitted (GTSAM keeps no constant), and nothing tells a shorter window's
+            chi-square of the whole run.
         robust: kernel on the observations' whitened residuals.
         robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 
     Raises:
         UsageError: prior or odometry covariance is singular.
-        DivergedError: GTSAM failed, or an estimate is not finite; feed no further frames.
+        DivergedError: GTSAM failed, an estimate is not finite, or the final solution cannot be right; feed no
+            further frames.
     """
 
     relative_poses: Literal["used"] = "used"
@@ -73,6 +78,7 @@ class FixedLag:
         relinearize_skip: Annotated[int, Ge(1)] = 1,
         factorization: Factorization | None = None,
         extra_updates: Annotated[int, Ge(0)] = 0,
+        max_chi2_per_dof: Annotated[float, Gt(0)] = MAX_CHI2_PER_DOF,
         robust: RobustKernel = "none",
         robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
@@ -108,6 +114,8 @@ class FixedLag:
         self._left: dict[int, Landmarks] = {}
         self._left_poses: list[FloatArray] = []
         self._t: list[float] = []
+        self._max_chi2_per_dof = max_chi2_per_dof
+        self._goodness: dict[str, float] = {}
 
     def update(self, frame: Frame) -> None:
         """Add the frame to the window, solve, and marginalise what is older than the lag.
@@ -122,6 +130,7 @@ class FixedLag:
                 "left the "
                 f"window of lag_frames {self._lag}: a longer lag, isam2 or batch can use it"
             )
+        self._goodness = {}
         graph, values = self._builder.extend(frame, self._pose)
         # Those that a camera saw after they had left cannot enter again: they have no variable.
         seen = [i for i in frame.ids.tolist() if i in self._builder.known]
@@ -173,18 +182,23 @@ class FixedLag:
         The poses still in the window have less. Not the optimum of the whole cost, and without covariances.
 
         Raises:
-            DivergedError: a pose is not finite, or more than 1 % of what the window's cameras saw is behind.
+            DivergedError: a pose is not finite, more than 1 % of what the window's cameras saw is behind, or
+                chi-square per dof of a run within the window is above ``max_chi2_per_dof``.
         """
         k = len(self._t) - 1
         first = len(self._left_poses)
         window = [self._pose_at(pose_key(j)).matrix() for j in range(first, k + 1)]
         poses = require_finite(np.array(self._left_poses + window), "fixed_lag", k)
-        self._builder.require_images(self._smoother.calculateEstimate(), poses[first:], "fixed_lag")
+        values = self._smoother.calculateEstimate()
+        self._builder.require_images(values, poses[first:], "fixed_lag")
+        if k <= self._lag:
+            self._require_fit(values)
         return Trajectory(np.array(self._t), poses)
 
     def diagnostics(self) -> Mapping[str, float]:
         """``landmarks`` in the window, its ``variables``, the frame's measurements that were ``dropped``; for
-        ``incremental`` also the last update's work."""
+        ``incremental`` also the last update's work. After ``trajectory()`` of a run within the window
+        ``chi2, dof, chi2_per_dof`` as well."""
         known = len(self._builder.known)
         scalars = {"landmarks": float(known), "variables": float(known + min(len(self._t), self._lag + 1))}
         scalars["dropped"] = float(self._builder.dropped)
@@ -192,7 +206,17 @@ class FixedLag:
             result = self._smoother.getISAM2Result()
             scalars["relinearized"] = float(result.getVariablesRelinearized())
             scalars["reeliminated"] = float(result.getVariablesReeliminated())
-        return scalars
+        return {**scalars, **self._goodness}
+
+    def _require_fit(self, values: Any) -> None:
+        self._goodness = self._builder.goodness(2.0 * self._smoother.getFactors().error(values))
+        require_fit(
+            self._goodness["chi2"],
+            self._goodness["dof"],
+            self._max_chi2_per_dof,
+            "fixed_lag",
+            "mode 'batch', or a smaller relinearize_threshold",
+        )
 
     def _covariance(self, key: int) -> FloatArray:
         k = len(self._t) - 1
