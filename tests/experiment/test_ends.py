@@ -46,6 +46,70 @@ def test_time_out_within_a_frame_keeps_every_finished_one(tmp_path: Path) -> Non
     assert late["online_ate"] == pytest.approx(float(np.sqrt(np.mean(error**2))))
 
 
+HANGING = """
+import time
+import numpy as np
+from tests.user_plugins import DeadReckoning
+from slamcmp.types import Landmarks, Trajectory
+
+
+class Hangs(DeadReckoning):
+    def __init__(self, problem, *, at: str):
+        super().__init__(problem)
+        self.at, self.stamps, self.answers = at, [], []
+
+    def stop(self, at):
+        if at == self.at:
+            time.sleep(60)
+
+    def update(self, frame):
+        super().update(frame)
+        self.stamps.append(frame.t)
+
+    def estimate(self):
+        if len(self.stamps) > 30:
+            self.stop("estimate")
+        self.answers.append(self.T)
+        return super().estimate()
+
+    def trajectory(self):
+        self.stop("trajectory")
+        return Trajectory(np.array(self.stamps), np.array(self.answers))
+
+    def landmarks(self):
+        self.stop("landmarks")
+        return Landmarks(np.empty(0, int), np.empty((0, 2)), np.empty((0, 2, 2)))
+
+    def joint_covariance(self):
+        self.stop("joint_covariance")
+        return np.eye(3)
+"""
+
+
+def test_time_out_within_a_covariance_keeps_the_online_part(tmp_path: Path) -> None:
+    """Of the causal estimate, or of what is asked after the last frame: as of who comes through."""
+    (tmp_path / "mine.py").write_text(HANGING)
+    where = ("never", "estimate", "trajectory", "landmarks", "joint_covariance")
+    source = {"name": f"{Path(__file__).parents[1] / 'user_plugins.py'}:straight"}
+    back_ends = [{"name": "mine.py:Hangs", "label": at, "at": at} for at in where]
+    path = tmp_path / "e.yaml"
+    path.write_text(json.dumps({"source": source, "back_ends": back_ends, "time_limit_s": 0.3}))
+    results = run_experiment(path, folder=tmp_path / "r", jobs=4)
+    rows = results.trials.set_index("label")
+    frames = {label: table.reset_index(drop=True) for label, table in results.frames.groupby("label")}
+    assert rows["status"].to_dict() == {"never": "ok", **dict.fromkeys(where[1:], "timed_out")}
+    assert rows["completion"].to_dict() == {**dict.fromkeys(where, 1.0), "estimate": 0.75}
+    for at in where[1:]:
+        done = 30 if at == "estimate" else 40
+        assert len(frames[at]) == done
+        for name in ("online_x", "online_sigma_0", "online_position_error_m", "online_nees"):
+            np.testing.assert_array_equal(frames[at][name], frames["never"][name][:done])
+        if at != "estimate":
+            for name in ("online_ate", "online_heading_rmse_deg", "online_max_error"):
+                assert rows.loc[at, name] == rows.loc["never", name]
+            assert "what it is asked after the last frame took longer than" in rows.loc[at, "message"]
+
+
 def test_shared_arrays_outlive_their_writer() -> None:
     shared = SharedArrays()
     pid = os.fork()

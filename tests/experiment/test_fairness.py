@@ -285,7 +285,9 @@ def test_every_worker_has_one_thread_of_every_library(tmp_path: Path) -> None:
     run_experiment(tmp_path / "e.yaml", folder=tmp_path / "r", jobs=1)
     (log,) = (tmp_path / "r" / "logs").iterdir()
     assert json.loads(log.read_text()) == ["1"] * len(THREAD_VARIABLES)
-    assert {"OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"} <= set(THREAD_VARIABLES)
+    # Of every library that brings a pool of its own.
+    pools = ("OPENBLAS", "OMP", "MKL", "BLIS", "NUMEXPR")
+    assert {f"{name}_NUM_THREADS" for name in pools} | {"VECLIB_MAXIMUM_THREADS"} <= set(THREAD_VARIABLES)
 
 
 def test_order_of_back_ends_makes_no_difference(write_experiment: Write, tmp_path: Path) -> None:

@@ -8,7 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from slamcmp.errors import SlamcmpError
+from slamcmp.experiment.gathering.own_names import own_names
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.metrics.divergence import explain, find_suspect, first_departure
 from slamcmp.types import GroundTruth, IntArray, MeasurementStream, Run
@@ -16,7 +20,7 @@ from slamcmp.types import GroundTruth, IntArray, MeasurementStream, Run
 FINDINGS: dict[str, Any] = {
     "departure_test": "",
     "departure_frame": math.nan,
-    "departure_landmark": math.nan,
+    "departure_landmark": pd.NA,
     "departure_sigmas": math.nan,
     "diagnosis": "",
 }
@@ -43,13 +47,14 @@ class Inspector:
             last = run.online.t.size if departure is None else departure.k
             # What another back end says is no ground to call a measurement wrong.
             suspect = find_suspect(self._stream, run, None if self._borrowed else self._truth, last)
-            if suspect is not None and self._own_ids is not None:
-                suspect = replace(suspect, landmark=int(self._own_ids[suspect.landmark]))
+            if suspect is not None:
+                (name,) = own_names(np.array([suspect.landmark]), self._own_ids)
+                suspect = replace(suspect, landmark=int(name))
         found = {**FINDINGS, "diagnosis": explain(run, departure, suspect)}
         if departure is not None:
             found |= {"departure_test": departure.test, "departure_frame": float(departure.k)}
         if suspect is not None:
-            found |= {"departure_landmark": float(suspect.landmark), "departure_sigmas": suspect.sigmas}
+            found |= {"departure_landmark": suspect.landmark, "departure_sigmas": suspect.sigmas}
         return found
 
     @cached_property

@@ -14,6 +14,7 @@ import pandas as pd
 from slamcmp.errors import NoSampleError, SlamcmpError
 from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.gathering.inspection import FINDINGS, Inspector
+from slamcmp.experiment.gathering.own_names import own_names, with_own_names
 from slamcmp.experiment.job.fault import Fault
 from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
 from slamcmp.experiment.planning.samples import Samples
@@ -204,6 +205,8 @@ class _Gathering:
         other = changed({**known.inputs, **run.inputs})
         if other:
             return _reads_something_else(other)
+        message = with_own_names(run.run.message, known.own_ids)
+        run = replace(run, run=replace(run.run, message=message))
         return divergences.added(job, relabelled(run, job.back_end.label))
 
     def _add_run(
@@ -230,7 +233,7 @@ class _Gathering:
         of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
         of_landmarks = landmark_table(run.run, truth, reference=borrowed)
         if known.own_ids is not None:
-            of_landmarks["id"] = known.own_ids[of_landmarks["id"].to_numpy()]
+            of_landmarks["id"] = own_names(of_landmarks["id"].to_numpy(), known.own_ids)
         for table in (of_frames, of_landmarks):
             for position, (key, value) in enumerate(keys.items()):
                 table.insert(position, key, value)
@@ -337,7 +340,9 @@ def _joined(tables: Sequence[pd.DataFrame], trials: Sequence[Trial]) -> pd.DataF
 
 
 def _typed(table: pd.DataFrame) -> pd.DataFrame:
-    return table.astype({"trial": "int64", "seed": "Int64"})
+    # Names of landmarks may take all 64 bits; a float would round them.
+    whole = {"trial": "int64", "seed": "Int64", "departure_landmark": "Int64"}
+    return table.astype({name: kind for name, kind in whole.items() if name in table})
 
 
 def _kinds(trials: Sequence[Trial]) -> dict[str, str]:
