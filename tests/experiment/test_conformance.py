@@ -267,6 +267,13 @@ def test_what_is_no_pose_is_refused(tmp_path: Path, fault: str) -> None:
             "        return 0.8 * P + 0.2 * own",
             "reports a joint covariance that fits pose and map together",
         ),
+        (
+            "def joint_covariance(self):\n"
+            "        P = super().joint_covariance().copy()\n"
+            "        P[:3, 3:], P[3:, :3] = 0.0, 0.0\n"
+            "        return P",
+            "has blocks in its joint covariance that agree with its other answers",
+        ),
     ],
 )
 def test_map_and_joint_covariances_are_held_to_their_errors(tmp_path: Path, method: str, check: str) -> None:
