@@ -224,7 +224,7 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
     from slamcmp.results.partial import missing_runs
-    from slamcmp.results.summary import warm_started
+    from slamcmp.results.summary import priors_in_body_axes, warm_started
 
     missing = missing_runs(results)
     if not summary.empty:
@@ -239,6 +239,12 @@ def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame
     borrowed = warm_started(results)
     if borrowed:
         print(f"online columns of {', '.join(borrowed)}: the warm start's (iSAM2's by default), not its own")
+    lags = priors_in_body_axes(results)
+    if lags:
+        print(
+            f"covariances of {', '.join(lags)}: too small where poses have left the lag, for GTSAM keeps "
+            "their prior in body axes; sliding_window keeps it in the world's"
+        )
     search = results.manifest.get("until")
     if search:
         coverage = search.get("coverage")

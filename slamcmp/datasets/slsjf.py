@@ -9,7 +9,7 @@
 A folder holds MATLAB files: ``store_speed`` and ``store_turnrate`` (what was driven, with noise),
 ``sensor_data`` (step, beacon, range, bearing, 0, 0, 0) and, as truth, ``store_robotTrue`` and
 ``store_beaconsTrue``. Steps are numbered from 1: sightings of step i are made from pose i - 1. What
-``parameters.txt`` calls variances are standard deviations, and in set 8240 the turn rate's noise is 2.85
+its parameters.txt calls variances are standard deviations, and in set 8240 the turn rate's noise is 2.85
 deg/s, where it says 2. Its robot passes beacons at 2 cm: range-bearing sightings from there let smoothers
 give up at frame 8075, unless the front end has a least range.
 

@@ -114,6 +114,23 @@ def warm_started(results: Results) -> list[str]:
     ]
 
 
+def priors_in_body_axes(results: Results) -> list[str]:
+    """Labels of the fixed lags that poses have left: GTSAM keeps what those leave in the axes of a body."""
+    config = results.manifest.get("config", {})
+    swept = [
+        value
+        for path, values in (config.get("sweep") or {}).items()
+        if path.endswith(".lag_frames")
+        for value in values
+    ]
+    frames = results.trials["frames"].max() if "frames" in results.trials else 0
+    return [
+        str(each.get("label", "fixed_lag"))
+        for each in config.get("back_ends", [])
+        if each.get("name") == "fixed_lag" and min([each.get("lag_frames", 20), *swept]) < frames - 1
+    ]
+
+
 def summary_intervals(results: Results) -> list[dict[str, Interval]]:
     """For each row of :func:`summary_table` the 95 % interval of each median, by the column's heading."""
     results = comparable(results)

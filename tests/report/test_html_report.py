@@ -9,9 +9,11 @@ import re
 from html.parser import HTMLParser
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import binomtest
 
+from slamcmp.cli.run import _print_results
 from slamcmp.report import summary_table, write_report
 from slamcmp.report.cautions import cautions, distance_in_sigmas
 from slamcmp.report.html import _search_text, number_text, report_html
@@ -254,6 +256,23 @@ def test_cautions_tell_whose_online_column_it_is_and_how_times_were_measured(one
     assert not [title for title in titles(config=always) if "warm start" in title]
     assert "Times were measured with 2 jobs side by side" in titles(jobs=2)
     assert not [title for title in titles(jobs=1) if title.startswith("Times")]
+
+
+def test_a_lag_that_poses_have_left_says_whose_prior_it_keeps(one_trial, capsys):
+    """With its default of 20, given, and swept; not where the whole run fits into it."""
+    frames = int(one_trial.trials["frames"].max())
+    said = "LAG: the prior of what left the lag stands in body axes"
+    for parameters, sweep, expected in (
+        ({"lag_frames": frames - 2}, {}, True),
+        ({"lag_frames": frames - 1}, {}, False),
+        ({"lag_frames": frames}, {"back_ends.LAG.lag_frames": [frames, 2]}, True),
+        ({}, {}, frames > 21),
+    ):
+        config = {"back_ends": [{"name": "fixed_lag", "label": "LAG", **parameters}], "sweep": sweep}
+        changed = dataclasses.replace(one_trial, manifest={**one_trial.manifest, "config": config})
+        assert (said in [caution.title for caution in cautions(changed)]) == expected
+        _print_results(changed, pd.DataFrame(), pd.DataFrame())
+        assert ("covariances of LAG: too small" in capsys.readouterr().out) == expected
 
 
 def test_cautions_name_unequal_streams(one_trial):
