@@ -230,10 +230,14 @@ class StereoCamera(Camera):
 
     def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:
         """World points (..., 3); NaN where the disparity is not positive."""
+        return self.point_at_depth(T_world_body, z[..., [0, 2]], self.depths(z))
+
+    def depths(self, z: FloatArray) -> FloatArray:
+        """Depths (...) along the optical axis [m]; NaN where the disparity is not positive."""
         disparity = z[..., 0] - z[..., 1]
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth = np.where(disparity > 0, self.fx_px * self.baseline_m / disparity, np.nan)
-        return self.point_at_depth(T_world_body, z[..., [0, 2]], depth)
+            depth: FloatArray = np.where(disparity > 0, self.fx_px * self.baseline_m / disparity, np.nan)
+        return depth
 
     def _measure(self, q: FloatArray) -> FloatArray:
         left = self.project(q)

@@ -98,9 +98,9 @@ class Following:
     def see(self, view: View | None, step: np.ndarray | None = None, Q: np.ndarray = SURE) -> Sighting:
         """The next image after a step as odometry tells it; None is an image that cannot be used."""
         self._now = view
-        # No two images of a camera are the same.
+        # No two images of a camera are the same, nor the two of a pair.
         self._image = self._image + np.uint8(1)
-        frame = CameraFrame(None) if view is None else CameraFrame(self._image, self._image)
+        frame = CameraFrame(None) if view is None else CameraFrame(self._image, self._image[::-1])
         return self.tracker.step(frame, np.eye(4) if step is None else step, Q)
 
     def drive(self, points: Points, step: np.ndarray = TO_THE_LEFT) -> View:

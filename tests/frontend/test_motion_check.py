@@ -58,7 +58,12 @@ def test_clocks_that_are_apart_are_told_with_their_distance(delay: int) -> None:
 
 def test_an_inverted_mounting_is_told() -> None:
     (told,) = turning(wandering(), inverse(FORWARD_CAMERA))
-    assert "as if T_body_camera were inverted" in told
+    assert "but would if T_body_camera is inverted" in told
+
+
+def test_a_mounting_for_other_axes_of_the_camera_is_told() -> None:
+    (told,) = turning(wandering(), np.eye(4))
+    assert "T_body_camera was given for a camera whose x axis points forward" in told
 
 
 def test_where_nothing_can_be_told_nothing_is_said() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -13,6 +14,7 @@ import pytest
 from slamcmp.datasets.euroc import euroc
 from slamcmp.errors import DataError
 from slamcmp.frontend.tracked_features import tracked_features
+from slamcmp.geometry import so3_exp
 from slamcmp.models.camera import StereoCamera
 from slamcmp.types import CameraFrame, Log, MeasurementStream
 from slamcmp.worlds.rendered import rendered
@@ -48,6 +50,15 @@ def turned(image: np.ndarray, by_deg: float) -> np.ndarray:
     return np.asarray(cv2.warpAffine(image, turn, (320, 240), borderMode=cv2.BORDER_REFLECT))
 
 
+def askew(image: np.ndarray, axis: int, by_deg: float) -> np.ndarray:
+    """What the camera would show turned by so much about its x (tilt), y (aside) or z axis (roll)."""
+    K = drive()[0].problem.sensor.K
+    turn = np.zeros(3)
+    turn[axis] = np.radians(by_deg)
+    H = K @ so3_exp(turn) @ np.linalg.inv(K)
+    return np.asarray(cv2.warpPerspective(image, H, (320, 240), borderMode=cv2.BORDER_REFLECT))
+
+
 def good(images: list[CameraFrame], k: int) -> CameraFrame:
     return images[k]
 
@@ -76,6 +87,21 @@ def test_rows_that_do_not_agree_are_told(by_px: float, said: str) -> None:
 
 
 @pytest.mark.parametrize("by_deg", [1.5, -1.5])
+@pytest.mark.parametrize(
+    ("axis", "said"),
+    [
+        (0, r"px {} than the left one \(1.[456]° of tilt\)"),
+        (1, r"the right camera is turned to the side by 1.[456]°"),
+        (2, r"the right image is turned by 1.[456]°"),
+    ],
+)
+def test_a_camera_that_is_askew_is_told_with_its_axis(axis: int, said: str, by_deg: float) -> None:
+    warnings = followed(with_right(lambda image: askew(image, axis, by_deg))).report.warnings
+    assert re.search(said.format("higher" if by_deg > 0 else "lower"), warnings[0])
+    assert "not rectified" in warnings[0]
+
+
+@pytest.mark.parametrize("by_deg", [1.5, -1.5])
 def test_a_turned_camera_is_told(by_deg: float) -> None:
     (told,) = followed(with_right(lambda image: turned(image, by_deg))).report.warnings
     assert "turned by 1.5° against the left one: the pair is not rectified" in told
@@ -86,6 +112,20 @@ def test_a_right_image_that_is_one_frame_late_is_told() -> None:
         lambda images, k: CameraFrame(images[k].image, images[max(k - 1, 0)].right)
     ).report.warnings
     assert any("one frame late?" in told for told in warnings)
+
+
+def test_one_image_on_both_sides_is_no_pair() -> None:
+    stream = followed(lambda images, k: CameraFrame(images[k].image, images[k].image.copy()))
+    skipped, nothing = stream.report.warnings
+    assert "8 of 8 frames were skipped, odometry only: right image: the same as the left one" in skipped
+    assert "not one image could be used" in nothing
+
+
+def test_a_right_camera_that_is_frozen_is_told() -> None:
+    stream = followed(lambda images, k: CameraFrame(images[k].image, images[min(k, 3)].right))
+    (told,) = stream.report.warnings
+    assert "4 of 8 frames were skipped" in told
+    assert "right image: the same as before, while the left one changed: the right camera is frozen" in told
 
 
 def test_a_baseline_in_millimetres_is_told() -> None:

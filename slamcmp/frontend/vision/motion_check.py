@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from slamcmp.frontend.vision.mounting_mistakes import WHAT_IT_MAPS, mounting_mistakes
 from slamcmp.geometry import local
 from slamcmp.models.camera import Camera
 from slamcmp.types import FloatArray
@@ -35,13 +36,20 @@ def frozen(
     before: NDArray[np.uint8] | None, now: NDArray[np.uint8] | None, T: FloatArray, Q: FloatArray
 ) -> str:
     """Why an image is none: the last one again, while the robot drove by T with covariance Q; else empty."""
-    # A few rows tell nearly all pairs apart.
-    if before is None or now is None or not np.array_equal(before[::64], now[::64]):
+    if not same_picture(before, now):
         return ""
     moved = local(np.eye(4), T)
-    if not np.array_equal(before, now) or moved @ np.linalg.pinv(Q) @ moved <= chdtri(6, _STANDING):
+    if moved @ np.linalg.pinv(Q) @ moved <= chdtri(6, _STANDING):
         return ""
     return "the same image as before, while the odometry moved: the camera is frozen"
+
+
+def same_picture(one: NDArray[np.generic] | None, other: NDArray[np.generic] | None) -> bool:
+    """Whether two images are equal in every byte."""
+    # A few rows tell nearly all pairs apart.
+    if one is None or other is None or not np.array_equal(one[::64], other[::64]):
+        return False
+    return np.array_equal(one, other)
 
 
 class MotionCheck:
@@ -72,19 +80,23 @@ class MotionCheck:
         """What does not fit, with the likely cause; ``step_s`` is the usual time between two frames."""
         seen, mounting = np.array(self._seen), self._camera.T_body_camera[:3, :3]
         expected = self._expected(mounting)
-        if len(seen) < _FRAMES_MIN or np.sqrt(np.nanmean(expected**2)) < _TURNING_PX:
+        if len(seen) < _FRAMES_MIN:
             return []
         fit = _correlation(seen, expected)
         delays = [each for each in range(-_DELAY_MAX, _DELAY_MAX + 1) if abs(each) < len(seen) // 3]
         fits = [_correlation(seen[max(delay, 0) :], expected[max(-delay, 0) :]) for delay in delays]
         best = int(np.argmax(fits))
         if fit < _FITS_NOT:
-            inverted = _correlation(seen, self._expected(mounting.T))
-            if inverted > _FITS and inverted > fits[best]:
-                return [
-                    f"the images turn as if T_body_camera were inverted (correlation {inverted:.2f} with its "
-                    f"inverse, {fit:.2f} as given): it maps points of the camera to the body"
-                ]
+            for T_body_camera, name in mounting_mistakes(self._camera.T_body_camera):
+                other = self._expected(T_body_camera[:3, :3])
+                meant = _correlation(seen, other)
+                if _turning(other) and meant > _FITS and meant > fits[best]:
+                    return [
+                        f"the images do not turn as the odometry says (correlation {fit:.2f}), but would if "
+                        f"{name} ({meant:.2f}); {WHAT_IT_MAPS}"
+                    ]
+        if not _turning(expected):
+            return []
         better = fits[best] - fit > _BETTER_BY and 1.0 - fit > _REST * (1.0 - fits[best])
         if delays[best] and fits[best] > _FITS and better:
             late = delays[best]
@@ -103,6 +115,11 @@ class MotionCheck:
             ray[:, :2] / np.maximum(ray[:, 2:], 0.1) * [self._camera.fx_px, self._camera.fy_px]
         )
         return shift
+
+
+def _turning(expected: FloatArray) -> bool:
+    """Whether shifts (K, 2) [px] are large enough to be told from noise."""
+    return bool(np.sqrt(np.nanmean(expected**2)) >= _TURNING_PX)
 
 
 def _profiles(image: NDArray[np.uint8]) -> list[FloatArray]:

@@ -4,7 +4,8 @@ Stereo matching looks along the rows, to one side only; what does not fit there 
 end that is content with that says nothing. Here corners are matched all over the image, in the first pairs
 and in some later ones, and what the partners show is put into words with its likely cause.
 
-The difference of rows is fitted, robustly, as a + b x + c y with x, y from -1/2 to 1/2 over the image.
+The difference of rows is fitted, robustly, as a + b x + c y + d x y, with x, y from -1/2 to 1/2 over the
+image.
 
 ========  ==============================================================================
 term      likely cause
@@ -12,6 +13,7 @@ term      likely cause
 a         the right camera looks higher or lower: not rectified, or another calibration
 b         it is turned about the optical axis: not rectified
 c         other focal length; or the robot drove on between the two images
+d         it is turned to the side: not rectified
 scatter   distortion, or the robot turned between the two images
 ========  ==============================================================================
 """
@@ -39,6 +41,7 @@ _OFFSET_PX = 0.8
 """Rows may differ so much: half of what matching along the rows allows."""
 _ACROSS_PX = 1.5
 """Largest change of that from one side of the image to the other."""
+_ASIDE_DEG = 0.3
 _SCATTER_PX = 1.0
 _WRONG_SIDE = 0.6
 """Share of partners to the right of where the left image has them."""
@@ -98,17 +101,24 @@ class PairCheck:
             told.append(f"the baseline of the pair is {baseline:g} m: is it in millimetres?")
         if len(self._left) < _PAIRS_MIN:
             return told
-        a, b, c, scatter = self._rows()
+        a, b, c, d, scatter = self._rows()
         width, height = self._size
         if abs(a) > _OFFSET_PX:
             told.append(
                 f"the right image shows points {abs(a):.1f} px {'lower' if a > 0 else 'higher'} than the "
-                "left one: the pair is not rectified, or the calibration is another pair's"
+                f"left one ({np.degrees(np.arctan2(abs(a), self._camera.fy_px)):.2g}° of tilt): the pair is "
+                "not rectified, or the calibration is another pair's"
             )
         if abs(b) > _ACROSS_PX:
             told.append(
                 f"the right image is turned by {np.degrees(np.arctan2(abs(b), width)):.1f}° against the left "
                 "one: the pair is not rectified"
+            )
+        aside = float(np.degrees(abs(d) * self._camera.fx_px / (width * height)))
+        if abs(d) > _ACROSS_PX and aside > _ASIDE_DEG:
+            told.append(
+                f"the right camera is turned to the side by {aside:.1f}° against the left one: the pair is "
+                "not rectified"
             )
         if abs(c) > _ACROSS_PX:
             told.append(
@@ -141,17 +151,17 @@ class PairCheck:
     def _wrong_side(self) -> float:
         return float((self._shift() < -_BEHIND_PX).mean()) if len(self._left) >= _PAIRS_MIN else 0.0
 
-    def _rows(self) -> tuple[float, float, float, float]:
-        """a, b, c and the scatter about them, by least absolute deviations (reweighted least squares)."""
+    def _rows(self) -> tuple[float, float, float, float, float]:
+        """a, b, c, d and the scatter about them, by least absolute deviations (reweighted least squares)."""
         place = self._left / np.array(self._size) - 0.5
-        A = np.column_stack([np.ones(len(place)), place])
+        A = np.column_stack([np.ones(len(place)), place, place.prod(axis=1)])
         y = self._right[:, 1] - self._left[:, 1]
-        x = np.array([np.median(y), 0.0, 0.0])
+        x = np.array([np.median(y), 0.0, 0.0, 0.0])
         for _ in range(_ROUNDS):
             weight = 1.0 / np.maximum(np.abs(y - A @ x), 0.1)
             x = np.linalg.solve((A.T * weight) @ A, (A.T * weight) @ y)
-        a, b, c = x.tolist()
-        return a, b, c, float(1.4826 * np.median(np.abs(y - A @ x)))
+        a, b, c, d = x.tolist()
+        return a, b, c, d, float(1.4826 * np.median(np.abs(y - A @ x)))
 
 
 def _gains(

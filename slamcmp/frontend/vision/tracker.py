@@ -17,19 +17,17 @@ from slamcmp.errors import UsageError
 from slamcmp.frontend.vision.common_motion import common_motion
 from slamcmp.frontend.vision.epipolar_test import epipolar_test
 from slamcmp.frontend.vision.error_correlation import SETTLED, ErrorCorrelation
+from slamcmp.frontend.vision.frame_checks import FrameChecks
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.matching import match_candidates
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
-from slamcmp.frontend.vision.motion_check import frozen
-from slamcmp.frontend.vision.pair_check import PairCheck
 from slamcmp.frontend.vision.placing import place_rays
 from slamcmp.frontend.vision.search_windows import Windows, search_windows
 from slamcmp.frontend.vision.suppression import suppress_cells
 from slamcmp.frontend.vision.track_table import TrackTable
 from slamcmp.frontend.vision.triangulation import PoseHistory
 from slamcmp.frontend.vision.wrong_matches import MatchRecord, spoil_matches
-from slamcmp.image_files import GrayImage, image_problem
-from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
+from slamcmp.models.camera import Camera, MonoCamera, StereoCamera
 from slamcmp.models.motion import compose_increments
 from slamcmp.types import BoolArray, CameraFrame, Detections, FloatArray, IntArray
 
@@ -110,8 +108,6 @@ class FeatureTracker:
             )
         self._settings = settings
         self._generator = generator
-        self._needs_right = isinstance(camera, StereoCamera)
-        self._needs_depth = isinstance(camera, RgbdCamera)
         noise = Noise(settings.sigma_px, settings.disparity_sigma_px, settings.depth_sigma_per_m2)
         self.sensor, self._measure = measuring(
             camera, noise, features=settings.features, depth_min_m=settings.depth_min_m
@@ -127,11 +123,12 @@ class FeatureTracker:
         self._history = PoseHistory(_HISTORY)
         self._correlation = ErrorCorrelation()
         self._since_image = np.eye(4), np.zeros((6, 6))
-        self._last_image: GrayImage | None = None
-        self._pair = PairCheck(camera) if isinstance(camera, StereoCamera) else None
+        self._checks = FrameChecks(
+            camera, self.sensor, features=settings.features, depth_min_m=settings.depth_min_m
+        )
         self._gap = 0
         """Frames since the last image that could be used."""
-        self._size: tuple[int, int] | None = None
+        self._size = (0, 0)
         self._frame = -1
         self._next_id = 0
         share = settings.gate_probability
@@ -140,7 +137,7 @@ class FeatureTracker:
 
     def warnings(self) -> list[str]:
         """What the images so far say against the calibration or the odometry, with the likely cause."""
-        return [] if self._pair is None else self._pair.findings()
+        return self._checks.findings()
 
     def step(self, frame: CameraFrame, T_prev_body: FloatArray, Q: FloatArray) -> Sighting:
         """Take in the next frame and the odometry that led to it; a bad image leaves only the odometry."""
@@ -150,19 +147,17 @@ class FeatureTracker:
         tracks.move(T_prev_body, Q)
         increment = T_prev_body, Q
         self._since_image = increment if self._gap == 1 else compose_increments(self._since_image, increment)
-        problem = self._problem(frame) or frozen(self._last_image, frame.image, *self._since_image)
+        problem = self._checks.problem(frame, self._since_image)
         if problem:
             tracks.keep(tracks.age <= self._settings.memory)
             return self._nothing(problem)
         assert frame.image is not None
-        self._last_image = frame.image
         clock = _Clock()
         self._size = frame.image.shape[1], frame.image.shape[0]
         features = extract_features(frame.image, count=self._settings.features)
         clock.lap("features")
         measured = self._measure(frame, features)
-        if self._pair is not None and frame.right is not None:
-            self._pair.look(features, frame, self._settings.features)
+        self._checks.look(features, measured, self._since_image)
         clock.lap("depth")
         windows = self._look_ahead()
         clock.lap("prediction")
@@ -218,24 +213,6 @@ class FeatureTracker:
             record,
         )
 
-    def _problem(self, frame: CameraFrame) -> str:
-        """Why the frame cannot be used; the first image that can sets the size of all."""
-        if frame.image is None:
-            return frame.problem or "no image"
-        problem = image_problem(frame.image, size=self._size)
-        if problem:
-            return problem
-        size = frame.image.shape[1], frame.image.shape[0]
-        if self._needs_right:
-            problem = image_problem(frame.right, size=size)
-            return f"right image: {problem}" if problem else ""
-        if self._needs_depth:
-            if frame.depth_m is None:
-                return "no depth image"
-            if frame.depth_m.shape != frame.image.shape:
-                return "depth image of another size"
-        return ""
-
     def _nothing(self, event: str) -> Sighting:
         nobody, d = np.zeros(0, dtype=bool), self.sensor.dim
         return Sighting(
@@ -254,7 +231,6 @@ class FeatureTracker:
         back[back >= 0] += 1
         # What is older than the history has lost its pose.
         back[back >= len(self._history.T_view)] = -1
-        assert self._size is not None
         return search_windows(
             self._tracks,
             self._image_camera,
