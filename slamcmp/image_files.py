@@ -151,9 +151,12 @@ def image_problem(image: object, *, size: Size | None = None) -> str:
 def _decoded(path: Path) -> NDArray[Any]:
     import cv2
 
-    if not path.is_file():
-        raise MissingDataError(f"{path}: there is no such image")
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
+        raise MissingDataError(f"{path}: there is no such image") from None
+    except OSError as error:
+        raise MissingDataError(f"{path}: cannot be read ({error.strerror})") from error
     if _is_truncated(data):
         raise UnusableImageError(path, "the image file is truncated", f" ({len(data)} bytes, no end marker)")
     with jpeg.decoder_complaints(data) as complaints:

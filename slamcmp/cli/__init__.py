@@ -14,7 +14,7 @@ import typer
 
 import slamcmp
 from slamcmp.cli import check, data, frontend, grade, grade_all, results, run, seeds, show, stream
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.support.messages import printable, told
 
 app = typer.Typer(
@@ -61,3 +61,10 @@ def main() -> None:
             raise
         print(told(printable(f"slamcmp: {error}")), file=sys.stderr)
         sys.exit(error.exit_code)
+    except OSError as error:
+        # A name that no file can have, a folder that is one no longer: whatever it is, one line says it.
+        if _debug or isinstance(error, BrokenPipeError):
+            raise
+        where = "" if error.filename is None else f"{error.filename}: "
+        print(told(printable(f"slamcmp: {where}{error.strerror or error}")), file=sys.stderr)
+        sys.exit(UsageError.exit_code)

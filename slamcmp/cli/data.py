@@ -29,9 +29,10 @@ def check(
     """Say what is wrong with a log before a filter runs on it; exit code 1 where something is."""
     from slamcmp.datasets.log_checks import check_files
     from slamcmp.errors import MissingDataError
+    from slamcmp.support.paths import is_file
 
     for path in files:
-        if not path.is_file():
+        if not is_file(path):
             raise MissingDataError(f"{path}: there is no such file")
     report = check_files(files, metres_per_tick=metres_per_tick, track_m=track_m)
     for fact in report.facts:

@@ -68,12 +68,13 @@ def _pilot(experiment: str) -> Path:
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.results.store import find_results
+    from slamcmp.support.paths import is_dir
 
     folder = find_results(experiment)
-    if not folder.is_dir():
+    if not is_dir(folder):
         name = load_experiment(find_experiment(experiment)).name
         folder = Path("results") / name
-        if not folder.is_dir():
+        if not is_dir(folder):
             raise MissingDataError(
                 f"{folder}: no pilot yet; run one with 10 or more seeds: slamcmp run {experiment}"
             )

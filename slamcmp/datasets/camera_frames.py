@@ -22,6 +22,7 @@ from slamcmp.image_files import (
     usable_image,
 )
 from slamcmp.models.camera import Camera
+from slamcmp.support.paths import is_file
 from slamcmp.types import CameraFrame
 
 _PROBES = 3
@@ -38,7 +39,7 @@ class FrameFiles:
 
     def existing(self) -> list[Path]:
         """Those that are there."""
-        return [path for path in (self.left, self.right, self.depth) if path is not None and path.is_file()]
+        return [path for path in (self.left, self.right, self.depth) if path is not None and is_file(path)]
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from slamcmp.datasets.text import number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.registry import did_you_mean
+from slamcmp.support.paths import is_file
 from slamcmp.types import FloatArray
 
 UNITS: dict[str, dict[str, float]] = {
@@ -70,7 +71,7 @@ def read_table(path: Path) -> Table:
         MissingDataError: there is no such file.
         DataError: a column without unit, a line with another number of fields, what is no number, or no row.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise MissingDataError(f"{path}: there is no such file")
     header, rows, lines = _parquet(path) if path.suffix == ".parquet" else _csv(path)
     known = {

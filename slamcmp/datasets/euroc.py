@@ -26,6 +26,7 @@ from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import MonoCamera, StereoCamera
+from slamcmp.support.paths import is_dir, is_file
 from slamcmp.types import FloatArray
 
 ORIGIN = "http://robotics.ethz.ch/~asl-datasets/ijrr_euroc_mav_dataset/ (the ASL format)"
@@ -55,7 +56,7 @@ def euroc(
         DataError: a file does not hold what its format promises.
     """
     root = find_folder(folder, what="a EuRoC flight", origin=ORIGIN)
-    if root.name != "mav0" and not (root / "mav0").is_dir():
+    if root.name != "mav0" and not is_dir(root / "mav0"):
         raise MissingDataError(f"{root}: has no folder mav0; get the flight from {ORIGIN}")
     mav = root if root.name == "mav0" else root / "mav0"
     left = _Camera.read(mav / "cam0")
@@ -88,7 +89,7 @@ def euroc(
     t: FloatArray = 1e-9 * (stamps - origin).astype(np.float64)
     truth = None
     poses = mav / "state_groundtruth_estimate0" / "data.csv"
-    if poses.is_file():
+    if is_file(poses):
         read.append(poses)
         truth = poses_at(t, *_truth(poses, origin), max_gap_s=max_gap_s)
     name = f"euroc_{mav.resolve().parent.name}"

@@ -12,6 +12,7 @@ import numpy as np
 
 from slamcmp.datasets.text import fields_of, number, read_text, text_lines
 from slamcmp.errors import DataError, MissingDataError
+from slamcmp.support.paths import expanded, is_dir, is_file
 from slamcmp.types import FloatArray
 
 DATA_VARIABLE = "SLAMCMP_DATA"
@@ -24,11 +25,11 @@ def find_folder(path: str, *, what: str, origin: str) -> Path:
     Raises:
         MissingDataError: neither exists; the message says ``what`` belongs there and its ``origin``.
     """
-    own = Path(path).expanduser()
-    if own.is_dir():
+    own = expanded(path)
+    if is_dir(own):
         return own
     root = os.environ.get(DATA_VARIABLE)
-    if root and (Path(root) / own).is_dir():
+    if root and is_dir(Path(root) / own):
         return Path(root) / own
     if own.is_absolute():
         where = ""
@@ -45,10 +46,10 @@ def find_data_file(path: str) -> Path:
     Raises:
         MissingDataError: neither exists.
     """
-    own = Path(path).expanduser()
+    own = expanded(path)
     root = os.environ.get(DATA_VARIABLE)
     for candidate in (own, Path(root) / own if root else own):
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate
     raise MissingDataError(f"{path}: there is no such file, nor under {DATA_VARIABLE} ({root or 'not set'})")
 
@@ -59,7 +60,7 @@ def require_file(path: Path, what: str) -> Path:
     Raises:
         MissingDataError: it is no file; the message says ``what`` it would hold.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise MissingDataError(f"{path}: there is no such file; it holds {what}")
     return path
 

@@ -31,6 +31,7 @@ from slamcmp.datasets.information import inverse_of_definite
 from slamcmp.datasets.text import ends_in_a_line, fields_of, number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import pose, rotation_from_quaternion, se2, wrap
+from slamcmp.support.paths import is_file
 from slamcmp.types import FloatArray
 
 Noise = Literal["auto", "information", "square_root_information", "covariance"]
@@ -57,7 +58,7 @@ def read_graph(path: Path | str, *, noise: Noise = "auto") -> Graph:
         DataError: a line cannot be read; the message starts with file:line.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_file(path):
         raise MissingDataError(f"{path}: there is no such graph file")
     graph = _Reader(path, noise, text_lines(path)).read()
     if not ends_in_a_line(path):

@@ -19,6 +19,7 @@ from slamcmp.datasets.time_stamps import TimeUnit
 from slamcmp.datasets.trajectories import MAX_GAP_S, read_poses_at
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.models.camera import RgbdCamera, StereoCamera
+from slamcmp.support.paths import is_dir, is_file
 from slamcmp.types import FloatArray
 
 Positive = Annotated[float, Gt(0)]
@@ -113,7 +114,7 @@ def image_folder(
 
 
 def _images(folder: Path) -> list[Path]:
-    if not folder.is_dir():
+    if not is_dir(folder):
         raise MissingDataError(f"{folder}: there is no such folder of images")
     # Names that begin with a dot are the file system's own; macOS leaves a ._x.png beside each x.png.
     found = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
@@ -136,7 +137,7 @@ def _natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
 
 
 def _turned_for_the_eye(images: list[Path]) -> list[str]:
-    first = next((path for path in images if path.is_file()), None)
+    first = next((path for path in images if is_file(path)), None)
     if first is None or jpeg.orientation(first.read_bytes()) == 1:
         return []
     return [

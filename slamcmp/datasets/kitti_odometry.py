@@ -28,6 +28,7 @@ from slamcmp.datasets.trajectories import read_kitti_poses
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, StereoCamera
+from slamcmp.support.paths import is_dir, is_file
 from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.cvlibs.net/datasets/kitti/eval_odometry.php (grey images, calibration, poses)"
@@ -84,7 +85,7 @@ def kitti_odometry(
 
     times = root / "times.txt"
     t: FloatArray = np.array(frames) * PERIOD_S
-    if times.is_file():
+    if is_file(times):
         read.append(times)
         stamps = in_seconds(
             times, number_table(times, 1)[:, 0], time_unit, parameter="time_unit", told=warnings
@@ -114,7 +115,7 @@ def kitti_odometry(
 
 def _image_folder(root: Path, names: tuple[str, ...]) -> Path:
     for name in names:
-        if (root / name).is_dir():
+        if is_dir(root / name):
             return root / name
     raise MissingDataError(f"{root / names[0]}: there is no such folder of images; get it from {ORIGIN}")
 
@@ -162,6 +163,6 @@ def _pose_file(root: Path, given: str | None) -> Path | None:
         return find_data_file(given)
     absolute = root.resolve()
     for path in (root / "poses.txt", absolute.parent.parent / "poses" / f"{absolute.name}.txt"):
-        if path.is_file():
+        if is_file(path):
             return path
     return None

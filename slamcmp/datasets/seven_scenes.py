@@ -22,6 +22,7 @@ from slamcmp.datasets.trajectories import nearest_rotations
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import FORWARD_CAMERA, RgbdCamera
+from slamcmp.support.paths import is_file
 from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/"
@@ -57,7 +58,7 @@ def seven_scenes(*, folder: str) -> Recording:
     truth = np.stack([_pose(path) for path in read])
     own = root / "camera-intrinsics.txt"
     fx, fy, cx, cy = INTRINSICS
-    if own.is_file():
+    if is_file(own):
         K = number_table(own, 3, exactly=True)
         if K.shape != (3, 3):
             raise DataError(f"{own}: {len(K)} rows where a 3×3 matrix is needed")
@@ -73,7 +74,7 @@ def seven_scenes(*, folder: str) -> Recording:
         RecordedFrames(files, SIZE, depth_format=DEPTH, depth_remap=refocus(K_depth, model.K, SIZE)),
         model,
         FORWARD_CAMERA @ truth @ inverse(FORWARD_CAMERA),
-        files=tuple(path for path in read if path.is_file()),
+        files=tuple(path for path in read if is_file(path)),
         warnings=(
             "depth is registered to colour by focal length only: a landmark's depth may be that of a point "
             "some pixels away",

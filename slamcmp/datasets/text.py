@@ -7,11 +7,10 @@ digits: ``1_0``, digits of other scripts, hexadecimal ones, ``inf`` and ``nan`` 
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
-from slamcmp.errors import DataError
+from slamcmp.errors import DataError, MissingDataError
 
 _MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
 _LINE_END = re.compile(r"\r\n|\r|\n")
@@ -25,13 +24,21 @@ ID_BITS = 64
 """Ids are signed whole numbers of so many bits."""
 
 
+LARGEST = 1e100
+"""Of any measurement or weight; what is derived from larger ones overflows far from where they stand."""
+
+
 def read_text(path: Path) -> str:
     """The file's text without its byte order mark.
 
     Raises:
+        MissingDataError: it cannot be read.
         DataError: it holds bytes of zero, as text does not, or a broken UTF-16.
     """
-    raw = path.read_bytes()
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise MissingDataError(f"{path}: cannot be read ({error.strerror})") from error
     encoding = ""
     for mark, name in _MARKS:
         if raw.startswith(mark):
@@ -76,13 +83,13 @@ def number(where: str, text: str) -> float:
     """A decimal number.
 
     Raises:
-        DataError: it is none, or too large for a float; the message begins with ``where``.
+        DataError: it is none, or larger than anything measured; the message begins with ``where``.
     """
     if _NUMBER.fullmatch(text) is None:
         raise DataError(f"{where}: {shown(text)} is not a finite number")
     value = float(text)
-    if not math.isfinite(value):
-        raise DataError(f"{where}: {shown(text)} is not a finite number: it is too large for a float")
+    if abs(value) > LARGEST:
+        raise DataError(f"{where}: {shown(text)} is not a finite number: it is too large for a measurement")
     return value
 
 

@@ -97,7 +97,8 @@ def poses_from(path: Path, positions: FloatArray, quaternions: FloatArray) -> Fl
     Raises:
         DataError: a quaternion that is not near unit length, as other columns would give.
     """
-    norms = np.linalg.norm(quaternions, axis=-1)
+    # Numbers far from one would overflow in their squares.
+    norms = np.linalg.norm(np.clip(quaternions, -1e6, 1e6), axis=-1)
     if (np.abs(norms - 1.0) > 0.01).any():
         worst = int(np.argmax(np.abs(norms - 1.0)))
         raise DataError(f"{path}: pose {worst} has a quaternion of norm {norms[worst]:.4g}; 1 is needed")

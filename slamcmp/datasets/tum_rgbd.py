@@ -25,6 +25,7 @@ from slamcmp.datasets.trajectories import MAX_GAP_S, poses_at, read_tum_trajecto
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera
+from slamcmp.support.paths import is_file
 from slamcmp.types import FloatArray
 
 Calibration = Literal["auto", "freiburg1", "freiburg2", "freiburg3", "ros_default"]
@@ -83,7 +84,7 @@ def tum_rgbd(
 
     truth = None
     poses = root / "groundtruth.txt"
-    if poses.is_file():
+    if is_file(poses):
         read.append(poses)
         stamps, T = read_tum_trajectory(poses, time_unit=time_unit, told=told)
         truth = poses_at(t, stamps, T, max_gap_s=max_gap_s) @ inverse(FORWARD_CAMERA)
@@ -113,7 +114,7 @@ def _colour(root: Path, unit: TimeUnit) -> Listing:
 def _pairs(root: Path, unit: TimeUnit, pair_within_s: float) -> Listing:
     """Colour images, each with the depth image nearest in time."""
     known = root / "associations.txt"
-    if known.is_file():
+    if is_file(known):
         rows = text_rows(known, 4)
         if not rows:
             raise DataError(f"{known}: names no pair of images")
@@ -159,7 +160,7 @@ def _stamps(path: Path, rows: list[tuple[str, list[str]]], unit: TimeUnit) -> Fl
 def _guessed(root: Path) -> tuple[Calibration, tuple[str, ...]]:
     """From the folder's name, or from the name of the original recording in the lists' comments."""
     texts = [root.resolve().name]
-    texts += [read_text(p)[:200] for p in (root / "rgb.txt", root / "depth.txt") if p.is_file()]
+    texts += [read_text(p)[:200] for p in (root / "rgb.txt", root / "depth.txt") if is_file(p)]
     for text in texts:
         found = re.search(r"(?:freiburg|fr)([123])(?!\d)", text)
         if found:

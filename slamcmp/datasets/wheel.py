@@ -7,6 +7,7 @@ import importlib.util
 from pathlib import Path
 
 from slamcmp.errors import MissingDataError
+from slamcmp.support.paths import expanded, is_dir, is_file
 
 
 def wheel_file(name: str) -> Path:
@@ -20,8 +21,8 @@ def wheel_file(name: str) -> Path:
         raise MissingDataError(f"{name}: needs the data of the gtsam wheel; 'pip install gtsam' brings it")
     folder = Path(spec.origin).parent / "Data"
     path = folder / name
-    if not path.is_file():
-        known = sorted(file.name for file in folder.glob("*")) if folder.is_dir() else []
+    if not is_file(path):
+        known = sorted(file.name for file in folder.glob("*")) if is_dir(folder) else []
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
         hint = f"; near names: {', '.join(near)}" if near else ""
         raise MissingDataError(f"{name}: there is no such file in {folder}{hint}")
@@ -34,8 +35,8 @@ def find_file(path: str) -> Path:
     Raises:
         MissingDataError: neither exists.
     """
-    own = Path(path).expanduser()
-    if own.is_file():
+    own = expanded(path)
+    if is_file(own):
         return own
     if own.is_absolute():
         raise MissingDataError(f"{path}: there is no such file")

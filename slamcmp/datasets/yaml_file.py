@@ -27,7 +27,8 @@ def read_mapping(path: Path) -> dict[str, Any]:
         loader = YAML(typ="safe", pure=True)
         loader.constructor.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
         data = loader.load(text)
-    except YAMLError as error:
+    except (YAMLError, ValueError, RecursionError) as error:
+        # Not only what the library calls its own: a number of 5000 digits, a date of month 13.
         raise DataError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
         raise DataError(f"{path}: not a mapping (key: value)")

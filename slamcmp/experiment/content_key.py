@@ -30,6 +30,7 @@ from slamcmp.support.code_version import (
     versions,
 )
 from slamcmp.support.messages import describe
+from slamcmp.support.paths import is_file
 from slamcmp.support.plugin_models import bind_parameters
 
 KEY_LENGTH = 24
@@ -150,11 +151,16 @@ def data_files(component: Component) -> DataFiles:
     digests: dict[str, str] = {}
     stamps: dict[str, tuple[int, ...]] = {}
     for name, path in zip(names, paths, strict=True):
-        if not path.is_file():
+        if not is_file(path):
             raise MissingDataError(f"{component.kind} {component.name!r}: there is no data file {path}")
-        # The stamp first: what changes while it is hashed is noticed later.
-        stamps[str(path.absolute())] = stamp(path)
-        digests[name] = file_digest(path)
+        try:
+            # The stamp first: what changes while it is hashed is noticed later.
+            stamps[str(path.absolute())] = stamp(path)
+            digests[name] = file_digest(path)
+        except OSError as error:
+            raise MissingDataError(
+                f"{component.kind} {component.name!r}: {path} cannot be read ({error.strerror})"
+            ) from error
     return DataFiles(digests, stamps)
 
 

@@ -24,6 +24,7 @@ import pyarrow
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.support.atomic import storage_error, write_atomically
 from slamcmp.support.messages import told
+from slamcmp.support.paths import is_dir, is_file
 
 TABLES = ("trials", "frames", "landmarks")
 MANIFEST = "manifest.json"
@@ -125,7 +126,7 @@ def load_results(folder: Path | str) -> Results:
     """
     folder = Path(folder)
     for name in (MANIFEST, *(f"{table}.parquet" for table in TABLES)):
-        if not (folder / name).is_file():
+        if not is_file(folder / name):
             raise MissingDataError(f"{folder}: no results here ({name} is missing); 'slamcmp run' makes them")
     manifest = _read_manifest(folder)
     return Results(folder, manifest, **{name: _read_table(folder, name, manifest) for name in TABLES})
@@ -172,4 +173,5 @@ def _told(error: Exception) -> str:
 def find_results(results: str) -> Path:
     """The folder ``results``, or else ``results/RESULTS``."""
     path = Path(results)
-    return path if path.is_dir() or not (Path("results") / results).is_dir() else Path("results") / results
+    within = Path("results") / results
+    return within if is_dir(within) and not is_dir(path) else path

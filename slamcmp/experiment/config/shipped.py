@@ -6,6 +6,7 @@ from pathlib import Path
 
 from slamcmp.errors import MissingDataError
 from slamcmp.registry import did_you_mean
+from slamcmp.support.paths import is_file
 from slamcmp.support.shipped_files import shipped_folder
 
 
@@ -25,7 +26,7 @@ def find_experiment(config: str) -> Path:
         MissingDataError: neither is there.
     """
     path = Path(config)
-    if path.is_file():
+    if is_file(path):
         return path
     shipped = shipped_experiments()
     name = path.with_suffix("").as_posix().removeprefix("experiments/")

@@ -17,6 +17,7 @@ from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.registry import SESSION
 from slamcmp.results.store import finite
 from slamcmp.support.code_version import PACKAGE, versions
+from slamcmp.support.paths import is_file
 
 WITH_DEFAULTS = frozenset({"source", "front_end", "back_ends"})
 """Keys of a configuration below which every parameter stands, whether it was given or not."""
@@ -74,7 +75,7 @@ def require_same_experiment(experiment: Experiment, folder: Path) -> None:
     try:
         known = json.loads((folder / "manifest.json").read_text())
         file, config = known["config_file"], known["config"]
-        other = experiment.path is not None and Path(file) != experiment.path and Path(file).is_file()
+        other = experiment.path is not None and Path(file) != experiment.path and is_file(Path(file))
     except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError):
         # Damaged, or of a program: what it says about another experiment nobody knows.
         return
