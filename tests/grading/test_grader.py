@@ -67,7 +67,7 @@ def test_strange_answers_are_told_apart(tmp_path: Path) -> None:
     )
     assert outcome.score == 0
     assert outcome.complete
-    assert "what is not finite" in outcome.tests[0].message
+    assert "[0] of predict is not finite" in outcome.tests[0].message
     assert "shape (99,)" in outcome.tests[0].message
     assert "correct returned 1 values" in outcome.tests[1].message
     assert "run_filter" in outcome.tests[3].message

@@ -132,8 +132,8 @@ def put_together(functions, generator):
             H.append(functions.call("measurement_jacobian", mean, landmark))
         noise = np.kron(np.eye(len(y)), NOISE)
         mean, P = functions.call("update", mean, P, np.concatenate(y), np.concatenate(H), noise)
-        rows.append(np.concatenate([np.ravel(mean), np.ravel(P)]))
-    return np.array(rows)
+        rows.append([mean, P])
+    return rows
 
 
 def left_over(functions, generator):

@@ -119,7 +119,7 @@ def put_together(functions, generator):
         if len(numbers):
             arguments = (T, landmarks, P, numbers, frame.z[known], frame.R[known])
             T, landmarks, P = functions.call("update", *arguments)
-    return np.concatenate([np.ravel(T), np.ravel(landmarks), np.ravel(P)])
+    return [T, landmarks, P]
 
 
 def whole_back_end(functions, generator):
@@ -131,8 +131,8 @@ def whole_back_end(functions, generator):
         answer = functions.step(handle, frame, landmarks=True)
         order = np.argsort(answer.landmarks.ids)
         parts = (answer.landmarks.positions[order], answer.landmarks.covariances[order])
-        rows += [np.ravel(part) for part in (answer.estimate.T_world_body, answer.estimate.P, *parts)]
-    return np.concatenate(rows)
+        rows.append([answer.estimate.T_world_body, answer.estimate.P, *parts])
+    return rows
 
 
 def statements(functions, generator):
@@ -177,7 +177,9 @@ def heading_gained(functions, generator):
     answer = None
     for k in range(60):
         z = SENSOR.predict(np.eye(3), place) + generator.normal(size=(1, 2)) * [0.3, 0.1]
-        frame = Frame(k, float(k), np.eye(3), np.zeros((3, 3)), np.array([1]), z, noises)
+        # As good as none, but with an inverse, for who works with information matrices.
+        still = np.zeros((3, 3)) if k == 0 else 1e-6 * np.eye(3)
+        frame = Frame(k, float(k), np.eye(3), still, np.array([1]), z, noises)
         answer = functions.step(handle, frame)
     return float(1 - np.sqrt(answer.estimate.P[2, 2]) / 0.2)
 

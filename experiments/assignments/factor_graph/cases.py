@@ -191,7 +191,7 @@ def put_together(functions, generator):
     keep = np.arange(3 * len(poses) - 3, len(eta))
     Lam_keep, _ = functions.call("marginalise", Lam, eta, keep)
     P = functions.call("marginal_covariance", Lam_keep, np.arange(3))
-    return np.concatenate([np.ravel(part) for part in (poses, landmarks, P)])
+    return [poses, landmarks, P]
 
 
 def smoothed(functions, generator):
@@ -200,8 +200,7 @@ def smoothed(functions, generator):
     graph, poses, landmarks = graph_of(problem, frames)
     poses = np.array([T @ exp(generator.normal(size=3) * [0.3, 0.3, 0.15]) for T in poses])
     landmarks = landmarks + 0.3 * generator.normal(size=landmarks.shape)
-    parts = functions.call("smooth", graph, poses, landmarks, 6)
-    return np.concatenate([np.ravel(part) for part in parts])
+    return list(functions.call("smooth", graph, poses, landmarks, 6))
 
 
 def statements(functions, generator):
@@ -290,7 +289,7 @@ def heading_gained(functions, generator):
     answer = None
     for k in range(20):
         z = SENSOR.predict(np.eye(3), place) + generator.normal(size=(1, 2)) * [0.3, 0.1]
-        still = np.zeros((3, 3)) if k == 0 else 1e-8 * np.eye(3)
+        still = np.zeros((3, 3)) if k == 0 else 1e-5 * np.eye(3)
         answer = functions.step(handle, Frame(k, float(k), np.eye(3), still, np.array([1]), z, noises))
     return float(1 - np.sqrt(max(answer.estimate.P[2, 2], 0.0)) / 0.2)
 

@@ -85,8 +85,8 @@ def put_together(functions, generator):
         if t > 0:
             mean, P = functions.call("predict", mean, P, A, Q)
         mean, P = functions.call("correct", mean, P, y, C, R)
-        rows.append(np.concatenate([np.ravel(mean), np.ravel(P)]))
-    return np.array(rows)
+        rows.append([mean, P])
+    return rows
 
 
 def statements(functions, generator):

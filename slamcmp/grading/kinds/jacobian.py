@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.grading.results.scoring import as_array, log_linear
+from slamcmp.grading.results.scoring import as_array, leaves, log_linear
+from slamcmp.grading.run.closeness import entry_errors, entry_scales, least_rounding, rounded_answers
 from slamcmp.grading.run.trial import Case, Trial, Verdict
 from slamcmp.grading.sandbox.errors import StudentError
 from slamcmp.registry import test_kinds
@@ -45,7 +46,8 @@ def jacobian(
         moved: ``name(argument, step) -> argument`` of ``cases.py``, for one that is no vector (a pose);
             without it the step (as many numbers as ``columns``) is added.
         step: half the distance of the central difference.
-        full: error relative to the largest entry up to which all points are given.
+        full: error of every entry relative to its own scale up to which all points are given; what rounding
+            to single precision explains counts as right as well (closeness.py).
         zero: error from which none are given.
     """
     todo: list[Case] = trial.procedure(cases)(trial.reference, trial.seeded())
@@ -53,8 +55,10 @@ def jacobian(
     credits = []
     wrong = np.zeros(shape)
     turned = np.ones(shape, dtype=bool)
-    for case in todo:
-        expected = _central_difference(trial, of, case.arguments, argument, len(columns), moved, step)
+    right = [
+        _central_difference(trial, of, case.arguments, argument, len(columns), moved, step) for case in todo
+    ]
+    for case, expected in zip(todo, right, strict=True):
         answer, what = trial.student.call(function, *case.arguments), f"the answer of {function}"
         if output is not None:
             what = f"answer {output + 1} of {function}"
@@ -62,12 +66,15 @@ def jacobian(
                 raise StudentError("ValueError", f"there is no {what}")
             answer = answer[output]
         given = as_array(answer, shape, what)
-        size = np.abs(given - expected) / np.abs(expected).max()
-        size[~np.isfinite(given)] = np.inf
-        credits.append(log_linear(float(size.max()), full, zero))
-        bad = size > full
+        scales = entry_scales(expected, right)
+        size = entry_errors(given, expected, scales)
+        enough = full
+        if full < size.max() < zero and not trial.short:
+            enough = _enough(trial, function, output, case, scales, full, zero)
+        credits.append(log_linear(float(size.max()), enough, zero))
+        bad = size > enough
         wrong += bad
-        turned &= ~bad | (np.abs(given + expected) <= full * np.abs(expected).max())
+        turned &= ~bad | (np.abs(given + expected) <= enough * scales)
     places = [
         f"∂{rows[row]}/∂{columns[column]} ({'its sign is wrong' if turned[row, column] else 'its value'})"
         for row, column in np.argwhere(wrong > 0)
@@ -78,6 +85,16 @@ def jacobian(
         sum(credits) / len(credits),
         f"{function} disagrees with central differences of {of} in {', '.join(places)}.",
     )
+
+
+def _enough(
+    trial: Trial, function: str, output: int | None, case: Case, scales: FloatArray, full: float, zero: float
+) -> float:
+    """The error up to which an entry is right: what rounding explains, or ``full``."""
+    place = () if output is None else (output,)
+    exact = np.asarray(dict(leaves(trial.reference.call(function, *case.arguments)))[place], dtype=np.float64)
+    rounded = rounded_answers(lambda who: who.call(function, *case.arguments), trial.reference)
+    return least_rounding(exact, [each[place] for each in rounded], scales, full, zero)
 
 
 def _central_difference(

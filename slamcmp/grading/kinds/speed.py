@@ -9,9 +9,11 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.grading.results.scoring import as_array, leaves, log_linear, relative_error
+from slamcmp.grading.results.scoring import log_linear
+from slamcmp.grading.run.closeness import largest_error
 from slamcmp.grading.run.implementations import Remembered, Remembering
 from slamcmp.grading.run.trial import Trial, Verdict
+from slamcmp.grading.run.watched import numbers_of
 from slamcmp.grading.sandbox.errors import StudentError
 from slamcmp.registry import test_kinds
 
@@ -37,7 +39,7 @@ def speed(
         rounds: pairs of runs.
         full: ratio up to which all points are given.
         zero: ratio from which none are given.
-        wrong: largest error of a timed answer, relative to the reference's largest entry, that still counts.
+        wrong: largest error of a timed answer's entry, relative to its own scale, that still counts.
     """
     if trial.short or trial.sandboxed_reference is None:
         # Outside of a sandbox there is nothing to be compared with.
@@ -54,7 +56,7 @@ def speed(
             taken.append(implementation.cpu_s() - before)
             answered.append(implementation.answers)
         if (error := _largest_error(*answered)) > wrong:
-            size = f"off by {error:.2g} of its largest entry" if math.isfinite(error) else "of another kind"
+            size = f"off by {error:.2g} times its size" if math.isfinite(error) else "of another kind"
             return Verdict(0.0, f"Not counted: an answer that was timed is {size}.")
         ratios.append(taken[0] / max(taken[1], 1e-6))
     # The first round warms both up.
@@ -68,18 +70,16 @@ def speed(
 
 
 def _largest_error(student: Sequence[Remembered], reference: Sequence[Remembered]) -> float:
-    """Relative to the largest entry of each output; infinite where an answer is built in another way."""
+    """Relative to the scale of each entry; infinite where an answer is built in another way."""
     if len(student) != len(reference):
         return math.inf
     largest = 0.0
     for given, wanted in zip(student, reference, strict=True):
-        own, right = dict(leaves(given.answer)), dict(leaves(wanted.answer))
-        if own.keys() != right.keys():
+        try:
+            own, right = numbers_of(given.name, given.answer, wanted.answer)
+        except StudentError:
             return math.inf
-        for path, leaf in right.items():
-            try:
-                array = as_array(own[path], np.shape(leaf), given.name)
-            except StudentError:
-                return math.inf
-            largest = max(largest, relative_error(array, np.asarray(leaf, dtype=np.float64)))
+        if any(a.shape != b.shape for a, b in zip(own, right, strict=True)):
+            return math.inf
+        largest = max([largest, *map(largest_error, own, right)])
     return largest

@@ -182,8 +182,15 @@ def _alike(first: Any, second: Any) -> bool:
     a, b = _numbers(first), _numbers(second)
     if a is None or b is None or a.shape != b.shape:
         return a is None and b is None
-    scale = np.abs(b[np.isfinite(b)]).max(initial=0.0)
-    return bool(np.allclose(a, b, rtol=SAME, atol=SAME * scale + 1e-12, equal_nan=True))
+    with np.errstate(invalid="ignore", over="ignore"):
+        close = np.abs(a - b) <= 1e-12 + SAME * _largest_finite(b)
+    # np.allclose takes five times as long for the small arrays that these are.
+    return bool(close.all() or (close | (a == b) | (np.isnan(a) & np.isnan(b))).all())
+
+
+def _largest_finite(values: FloatArray) -> float:
+    largest = float(np.abs(values).max(initial=0.0))
+    return largest if np.isfinite(largest) else float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
 
 def _numbers(value: Any) -> FloatArray | None:

@@ -36,7 +36,15 @@ class TrustedImplementation:
 
     def call(self, name: str, *arguments: Any) -> Any:
         try:
-            return _transferred(getattr(self._module, name)(*_transferred(list(arguments))))
+            copied = _transferred(list(arguments))
+        except Exception as error:
+            raise _described(error) from error
+        return self.call_as_given(name, *copied)
+
+    def call_as_given(self, name: str, *arguments: Any) -> Any:
+        """The same with arguments that are neither copied nor made double precision."""
+        try:
+            return _transferred(getattr(self._module, name)(*arguments))
         except Exception as error:
             raise _described(error) from error
 

@@ -49,12 +49,12 @@ class Watched:
             # Arguments that a wrong answer led to may be none that the solution can take.
             _bounded(name, answer)
             return answer
-        own, right = _arrays(name, answer, expected)
+        own, right = numbers_of(name, answer, expected)
         if any(np.isfinite(b).all() and not np.isfinite(a).all() for a, b in zip(own, right, strict=True)):
             self.not_finite.add(name)
         elif _idle(own, right, arguments):
             self.idle.add(name)
-        return answer
+        return _like(answer, expected)
 
     def construct(
         self, name: str, problem: Problem | None = None, parameters: Mapping[str, Any] | None = None
@@ -70,7 +70,7 @@ class Watched:
         return self._student.cpu_s()
 
 
-def _arrays(name: str, answer: Any, expected: Any) -> tuple[list[FloatArray], list[FloatArray]]:
+def numbers_of(name: str, answer: Any, expected: Any) -> tuple[list[FloatArray], list[FloatArray]]:
     """The outputs that are numbers, of both.
 
     Raises:
@@ -92,6 +92,17 @@ def _arrays(name: str, answer: Any, expected: Any) -> tuple[list[FloatArray], li
         own.append(a)
         right.append(b)
     return own, right
+
+
+def _like(answer: Any, expected: Any) -> Any:
+    """The answer built as the reference's: lists where it has arrays become arrays."""
+    if isinstance(expected, np.ndarray):
+        return np.asarray(answer, dtype=np.float64 if expected.dtype.kind == "f" else None)
+    if isinstance(expected, list | tuple):
+        return type(expected)(_like(answer[number], each) for number, each in enumerate(expected))
+    if isinstance(expected, dict):
+        return {key: _like(answer[key], each) for key, each in expected.items()}
+    return answer
 
 
 def _at(answer: Any, path: tuple[int | str, ...], name: str, outputs: int) -> Any:
