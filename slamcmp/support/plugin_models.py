@@ -27,8 +27,16 @@ def check_parameters(plugin: Plugin, given: dict[str, Any]) -> dict[str, Any]:
 
     Raises:
         pydantic.ValidationError: a value or key is not allowed.
+        UsageError: a default that its author chose is no value that a file could hold.
     """
-    dumped: dict[str, Any] = _validate(plugin, given).model_dump(mode="json")
+    model = _validate(plugin, given)
+    try:
+        dumped: dict[str, Any] = model.model_dump(mode="json")
+    except Exception as error:
+        raise UsageError(
+            f"{plugin.name}: its parameters must be numbers, texts, lists or mappings, and their "
+            f"defaults too: {error}"
+        ) from error
     return dumped
 
 

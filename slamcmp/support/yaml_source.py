@@ -40,10 +40,10 @@ class YamlSource:
             what = (error.problem or error.context or "cannot be read").replace("\n", " ")
             raise UsageError(f"{where}: not valid YAML: {what}") from error
         except YAMLError as error:
-            raise UsageError(told(f"{name}: not valid YAML: {error}")) from error
+            raise UsageError(told(f"{name}: not valid YAML: {' '.join(str(error).split())}")) from error
         except Exception as error:
             # A number of 5000 digits, the 99th of a month, a key that is a list: Python's own complaint.
-            raise UsageError(told(f"{name}: not valid YAML: {error}")) from error
+            raise UsageError(told(f"{name}: not valid YAML: {' '.join(str(error).split())}")) from error
         if not isinstance(root, CommentedMap):
             raise UsageError(f"{name}:1:1: an experiment is a mapping (key: value), not {_kind(root)}")
         self._root = root

@@ -46,6 +46,13 @@ BAD = {
     "a key that is a list": (GOOD + "? [1, 2]\n: 3\n", r"e\.yaml:3:"),
     "a lone surrogate": (GOOD + 'question: "\\ud800"\n', r"e\.yaml:3:11: a text that is not valid Unicode"),
     "a zero byte": (GOOD + 'question: "\\0"\n', r"e\.yaml:3:11: a text that is not valid Unicode"),
+    "a zero byte in the file itself": (GOOD + "seeds: 1\0\n", r"e\.yaml: not valid YAML: unacceptable"),
+    "a merge with itself": (GOOD + "x: &x {<<: *x}\n", r"e\.yaml: not valid YAML"),
+    "a name that no folder can have": (GOOD + f"name: {'a' * 300}\n", r"e\.yaml:3:7: name: "),
+    "a default that no file can hold": (
+        GOOD.replace("name: ekf_slam", "name: 'odd.py:Odd'"),
+        r"e\.yaml:2:20: odd\.py:Odd: its parameters must be numbers",
+    ),
     "two documents": (GOOD + "---\n" + GOOD, r"e\.yaml:3:1: not valid YAML"),
     "infinite sigma": (
         "source:\n  name: circle\n  range_sigma_m: .inf\nback_ends: [{name: ekf_slam}]\n",
@@ -116,11 +123,16 @@ def test_bad_input_is_one_clear_message(tmp_path: Path, kind: str) -> None:
     text, told = BAD[kind]
     path = tmp_path / "e.yaml"
     path.write_text(text)
+    (tmp_path / "odd.py").write_text(
+        "class Odd:\n    def __init__(self, problem, *, of: list = object()): ...\n"
+    )
     with pytest.raises(UsageError, match=told) as caught:
         load_experiment(path)
     assert caught.value.exit_code == 2
     message = str(caught.value).replace(str(tmp_path), "")
     assert len(message.encode()) <= LIMIT
+    # A line for each mistake.
+    assert all("e.yaml" in line for line in str(caught.value).splitlines())
 
 
 def test_corner_of_a_grid_may_be_impossible(tmp_path: Path) -> None:

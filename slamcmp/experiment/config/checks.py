@@ -71,6 +71,9 @@ class Checker:
             self.recordings, given = self._several_recordings(plugin, given, path)
         try:
             parameters = check_parameters(plugin, given)
+        except UsageError as error:
+            self._errors.add((*path, "name"), str(error))
+            return None
         except ValidationError as error:
             reserved = ["name", "label", OWN_GATE] if is_back_end else ["name"]
             known: dict[KeyPath, Any] = {path: [*model.model_fields, *reserved]}

@@ -23,7 +23,8 @@ from slamcmp.support.config_errors import ConfigErrors, ConfigSource
 from slamcmp.support.yaml_source import KeyPath, load_yaml
 
 Seed = Annotated[int, Field(ge=0, le=INTEGER_MAX)]
-NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]*$"
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,127}$"
+"""A folder is called like it; its files have names as well."""
 
 
 class ExperimentFields(BaseModel):
