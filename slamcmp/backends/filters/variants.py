@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from slamcmp.backends.entries import places_by_itself
 from slamcmp.backends.filters.charts import RightInvariantChart, WorldChart
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import (
@@ -70,13 +71,16 @@ class FirstEstimatesEkf(ErrorStateEkf):
 class ObservabilityConstrainedEkf(ErrorStateEkf):
     """Observability-constrained EKF-SLAM (Huang, Mourikis, Roumeliotis 2010).
 
-    It gives up as ``ekf_fej`` does.
+    With a single camera the pose's point of linearisation stays at its estimate (linearisation.py). It gives
+    up as ``ekf_fej`` does.
     """
 
     def __init__(
         self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
     ) -> None:
-        policy = ObservabilityConstrained(problem.T_world_body)
+        # A single camera's landmarks are far less known than the pose that they would shift.
+        shift_pose = places_by_itself(problem.sensor)
+        policy = ObservabilityConstrained(problem.T_world_body, shift_pose=shift_pose)
         chart = WorldChart(problem.sensor.space_dim)
         super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth)
 

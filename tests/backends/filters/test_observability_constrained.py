@@ -39,3 +39,23 @@ def test_the_shift_is_the_least_squares_solution(space: int, count: int) -> None
         # A known landmark is linearised where the null space has it, seen from the pose after.
         _, known = points.known(pose(after), seen, estimates)
         np.testing.assert_allclose(known - after, null_landmarks - null_position, atol=1e-12)
+
+
+@pytest.mark.parametrize("shift_pose", [True, False])
+def test_both_keep_the_unobservable_directions(shift_pose: bool) -> None:
+    """An observation's points lie as the null space does, which the motion's points have carried there."""
+    rng = np.random.default_rng(5)
+    T = np.eye(4)
+    points = ObservabilityConstrained(T, shift_pose=shift_pose)
+    landmarks = rng.normal(size=(4, 3))
+    points.new(T, np.arange(4), landmarks)
+    N_position, N_landmarks = T[:-1, -1].copy(), landmarks.copy()
+    for k in range(1, 6):
+        before, after = np.eye(4), np.eye(4)
+        before[:-1, -1], after[:-1, -1] = rng.normal(size=(2, 3))
+        estimates = landmarks + 10.0 * rng.normal(size=(4, 3))
+        T_from, T_to = points.motion(k, before, after, np.arange(4), estimates)
+        assert np.array_equal(T_from, before) != shift_pose
+        N_position += T_to[:-1, -1] - T_from[:-1, -1]
+        T_at, at = points.known(after, np.arange(4), estimates)
+        np.testing.assert_allclose(at - T_at[:-1, -1], N_landmarks - N_position, atol=1e-12)
