@@ -193,18 +193,31 @@ class Schedule:
                 self._lose(task.key, "missing", self._why_missing(ended))
                 outcome = "missing"
             else:
-                if ended.fault:
-                    self._store_failure(ended)
-                elif ended.note:
-                    _add_note(task, ended.note)
-                stored = load_run(task.result)
-                outcome = "missing" if stored is None else stored.run.status
-                self.pending.discard(task.key)
+                outcome = self._finish_run(ended)
         finally:
             if ended.shared is not None:
                 ended.shared.close()
         self.done += 1
         self._watcher.ended(task.key, outcome, ended.frames_done)
+
+    def _finish_run(self, ended: Ended) -> str:
+        task = ended.task
+        try:
+            if ended.fault:
+                self._store_failure(ended)
+            elif ended.note:
+                _add_note(task, ended.note)
+        except SlamcmpError:
+            raise
+        except Exception as error:
+            # One run whose remains cannot be stored must not end those of all others.
+            self._lose(
+                task.key, "crashed", told(f"{ended.fault}; what it left cannot be kept: {describe(error)}")
+            )
+            return "crashed"
+        self.pending.discard(task.key)
+        stored = load_run(task.result)
+        return "missing" if stored is None else stored.run.status
 
     def _lose(self, key: str, status: Status, message: str) -> None:
         """A run that has no result, and is done again by the same command."""

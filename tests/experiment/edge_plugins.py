@@ -96,3 +96,23 @@ class KilledOnce(DeadReckoning):
             self.marker.write_text("")
             os.kill(os.getpid(), self.number)
             time.sleep(60)
+
+
+class ClosesFiles(DeadReckoning):
+    """Closes all that its process has open, its own result's way out among it."""
+
+    def misbehave(self) -> None:
+        os.closerange(0, 200)
+
+
+class NamesOddly(DeadReckoning):
+    """Calls its diagnostics as no file or table calls anything."""
+
+    def diagnostics(self) -> dict[str, float]:
+        k = float(len(self.poses))
+        return {"plain": k, "": k, "x\ud800": k, "y" * 100_000: k, "a/../b\0": k}
+
+
+class NamesOddlyAndDies(NamesOddly):
+    def misbehave(self) -> None:
+        os._exit(3)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slamcmp.experiment import schedule
 from slamcmp.experiment.gathering import tables
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
@@ -161,6 +162,34 @@ def test_texts_that_files_and_tables_find_hard_to_hold(tmp_path: Path) -> None:
         assert stored["base"].startswith("frame 20: BaseException: of no usual kind")
         for message in stored:
             assert len(message.encode()) <= LIMIT
+
+
+def test_what_one_back_end_does_ends_no_other(tmp_path: Path) -> None:
+    """Each of these once ended the whole experiment, without tables, as if the disk were full."""
+    names = ["Late", "ClosesFiles", "NamesOddly", "NamesOddlyAndDies"]
+    path = write_edges(tmp_path, edge("Late", at=1000), *map(edge, names[1:]))
+    results = run_experiment(path, folder=tmp_path / "r", jobs=2)
+    rows = load_results(results.folder).trials.set_index("label")
+    assert rows["status"].to_dict() == dict(zip(names, ["ok", "crashed", "ok", "crashed"], strict=True))
+    assert rows.loc["NamesOddlyAndDies", "completion"] == 0.5
+    assert "exit code 3" in rows.loc["NamesOddlyAndDies", "message"]
+    frames = results.frames[results.frames["label"] == "NamesOddly"]
+    odd = [name for name in frames.columns if name.startswith(("x\\ud800", "yyy", "a/../b", "plain"))]
+    assert len(odd) == 4
+    for name in (*odd, ""):
+        np.testing.assert_array_equal(frames[name], np.arange(1.0, 41.0))
+    assert max(map(len, frames.columns)) < 300
+
+
+def test_remains_that_cannot_be_kept_cost_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_arguments: object, **_options: object) -> None:
+        raise RuntimeError("nothing of it can be used")
+
+    monkeypatch.setattr(schedule, "recovered", fails)
+    path = write_edges(tmp_path, edge("Late", at=1000), edge("NamesOddlyAndDies"))
+    results = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert results.trials["status"].tolist() == ["ok", "crashed"]
+    assert "what it left cannot be kept: RuntimeError: nothing of it" in results.trials["message"][1]
 
 
 def test_any_text_becomes_one_that_can_be_stored() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.support.code_version import versions
+from slamcmp.support.messages import told
 from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import (
     TANGENT_DIM,
@@ -22,6 +23,7 @@ from slamcmp.types import (
 )
 
 SERIES = "series/"
+NAME_BYTES = 200
 INDEFINITE = -1e-9
 """Smallest eigenvalue of a correlation matrix that still counts as rounding."""
 
@@ -40,17 +42,24 @@ class Collected:
         self.update_s = self._new("update_s", (frames,), 0.0)
         self.estimate_s = self._new("estimate_s", (frames,), 0.0)
         self.series: dict[str, FloatArray] = {}
+        self._columns: dict[str, FloatArray] = {}
+        """The same by the names that the back end gives them."""
         self.kept: list[BoolArray] | None = None
         self.done = 0
         self._checked = 0
         self._fault: str | None = None
 
     def note(self, k: int, values: Mapping[str, float]) -> None:
-        series = self.series
+        known = self._columns
         for name, value in values.items():
-            column = series.get(name)
+            column = known.get(name)
             if column is None:
-                column = series[name] = self._new(SERIES + name, (self.t.size,), np.nan)
+                # An author may call it anything; files and tables hold valid Unicode, and not endless.
+                called = told(name, NAME_BYTES)
+                column = self.series.get(called)
+                if column is None:
+                    column = self.series[called] = self._new(SERIES + called, (self.t.size,), np.nan)
+                known[name] = column
             column[k] = value
 
     def keep_masks(self, stream: MeasurementStream) -> None:

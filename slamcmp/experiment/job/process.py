@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import faulthandler
 import multiprocessing
 import os
@@ -20,6 +21,8 @@ from slamcmp.experiment.job.task import Task
 from slamcmp.support.process_tree import end_children, lead_group
 from slamcmp.support.shared_arrays import SharedArrays
 
+OF_A_PROCESS = frozenset({errno.EBADF, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EFBIG})
+"""Errors of descriptors and limits that a process, or the plug-in in it, has set itself."""
 OUTDATED, LOST_STREAM, STORAGE_FAILED = 1, 2, 3
 """Why there is no result, if it is not the back end's doing."""
 
@@ -52,16 +55,25 @@ def work(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | N
             heartbeat[4] = LOST_STREAM
             traceback.print_exc()
         except (StorageError, OSError) as error:
-            heartbeat[4] = STORAGE_FAILED
-            print(error, file=sys.stderr)
+            if not _is_of_this_process(error):
+                heartbeat[4] = STORAGE_FAILED
+            with contextlib.suppress(OSError):
+                print(error, file=sys.stderr)
         except BaseException:
-            # Here, while standard error still leads to the log.
-            traceback.print_exc()
+            # Here, while standard error still leads to the log, unless the plug-in closed it.
+            with contextlib.suppress(OSError):
+                traceback.print_exc()
     with contextlib.suppress(Exception):
         end_children()
     getattr(util, "_run_finalizers", lambda _: None)(0)
     # At once: a thread that was left behind has nobody to work for.
     os._exit(code)
+
+
+def _is_of_this_process(error: BaseException) -> bool:
+    """Whether the disk has no part in it: a plug-in closed or used up its process's files."""
+    causes = (error, error.__cause__)
+    return any(isinstance(each, OSError) and each.errno in OF_A_PROCESS for each in causes)
 
 
 def _follow(parent: Any) -> None:
