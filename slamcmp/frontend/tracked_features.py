@@ -98,6 +98,7 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
     from slamcmp.frontend.vision.motion_check import MotionCheck
     from slamcmp.frontend.vision.one_thread import one_thread
     from slamcmp.frontend.vision.tracker import STAGES, FeatureTracker
+    from slamcmp.frontend.vision.wrong_matches import TrueMatches, score_matches
 
     if log.images is None:
         raise UsageError(
@@ -140,6 +141,7 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
             *tracker.warnings(),
             *(check.findings(float(np.median(np.diff(log.t)))) if log.t.size > 1 else ()),
         ),
+        score_matches(records, log.images).counts() if isinstance(log.images, TrueMatches) else {},
     )
     problem = Problem(log.problem.T_world_body, log.problem.P, tracker.sensor)
     return MeasurementStream(problem, tuple(frames), report), records

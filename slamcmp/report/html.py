@@ -49,8 +49,8 @@ class ReportFigure:
     name: str
     title: str
     caption: str
-    source: str
-    """A data URI."""
+    sources: tuple[str, ...]
+    """Data URIs: one, or those of its panels."""
     reason: str
     headers: tuple[str, ...] = ()
     rows: tuple[list[Cell], ...] = ()
@@ -109,8 +109,8 @@ def report_html(results: Results) -> str:
         more_faults=more_faults,
         paired_headers=list(paired.columns),
         paired_rows=_rows(paired, swept),
-        figures=[figure for figure in shown if figure.source],
-        skipped=[figure for figure in shown if not figure.source],
+        figures=[figure for figure in shown if figure.sources],
+        skipped=[figure for figure in shown if not figure.sources],
         trial_headers=_trial_headers(results),
         trial_rows=_trial_rows(results),
         facts=_facts(manifest),
@@ -174,19 +174,26 @@ def _search_text(manifest: Mapping[str, Any]) -> str:
 
 
 def _embed(drawn: Drawn) -> ReportFigure:
-    source = ""
+    sources: tuple[str, ...] = ()
     if drawn.figure is not None:
         try:
-            content, kind = figure_bytes(drawn.figure, "svg"), "svg+xml"
-            if len(content) > SVG_LIMIT:
-                content, kind = figure_bytes(drawn.figure, "png"), "png"
+            if drawn.panels:
+                sources = tuple(_data_uri(figure_bytes(panel, "jpg"), "jpeg") for panel in drawn.panels)
+            else:
+                content, kind = figure_bytes(drawn.figure, "svg"), "svg+xml"
+                if len(content) > SVG_LIMIT:
+                    content, kind = figure_bytes(drawn.figure, "png"), "png"
+                sources = (_data_uri(content, kind),)
         except Exception as error:
-            return ReportFigure(drawn.name, drawn.title, drawn.caption, "", fault_text(error))
-        source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-    shown = ReportFigure(drawn.name, drawn.title, drawn.caption, source, drawn.reason)
+            return ReportFigure(drawn.name, drawn.title, drawn.caption, (), fault_text(error))
+    shown = ReportFigure(drawn.name, drawn.title, drawn.caption, sources, drawn.reason)
     if drawn.table is None:
         return shown
     return replace(shown, headers=tuple(drawn.table.columns), rows=tuple(_rows(drawn.table, [])))
+
+
+def _data_uri(content: bytes, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def _groups(names: list[str]) -> list[tuple[str, int]]:

@@ -16,6 +16,12 @@ from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, re
 from slamcmp.types.log import Detections, Problem, RelativePoses
 from slamcmp.types.sensor import SensorModel
 
+EVENT = "frames: "
+"""Before an event in the totals of a report."""
+JUDGED, RIGHT = "matches with known truth", "right matches"
+PASSED, PASSED_RIGHT = "matches that passed", "right matches that passed"
+"""In the totals: precision is PASSED_RIGHT of PASSED, recall PASSED_RIGHT of RIGHT."""
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -78,6 +84,8 @@ class FrontEndReport:
     """Wall time of each stage, one entry a frame that was used; empty for a stored stream."""
     warnings: tuple[str, ...] = ()
     """What a user must know about the sensor's data, each with its likely cause."""
+    judged: Mapping[str, int] = field(default_factory=dict)
+    """Matches by the truth, under the four names above, where the images know it; not stored."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -85,9 +93,11 @@ class FrontEndReport:
         return ("raw", *self.stages, "kept")
 
     def totals(self) -> dict[str, int]:
-        """Sum of each column over the frames, then the frames with each event."""
+        """Sum of each column over the frames, frames with each event, and the matches by the truth."""
         columns = dict(zip(self.columns, (int(total) for total in self.counts.sum(axis=0)), strict=True))
-        return columns | {f"frames: {event}": count for event, count in self.events.items()}
+        return (
+            columns | {f"{EVENT}{event}": count for event, count in self.events.items()} | dict(self.judged)
+        )
 
 
 @dataclass(frozen=True)

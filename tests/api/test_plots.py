@@ -17,6 +17,7 @@ CANNOT = {
     "association": "no back end gates for itself",
     "attribution": "was not run",
     "dial": "no sliding_window was run with two windows",
+    "images": "the results do not tell source and front end",
     "kl_from_batch": "no run was compared",
     "observability": "no run recorded it",
     "sweep": "nothing was swept",

@@ -234,6 +234,7 @@ def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_p
         "consistency",
         "dial",
         "errors",
+        "images",
         "kl_from_batch",
         "observability",
         "sweep",

@@ -19,7 +19,7 @@ from slamcmp.registry import front_ends, sources
 from slamcmp.results.run_file import StoredTruth, save_truth
 from slamcmp.support.messages import describe, told
 from slamcmp.support.plugin_models import bind_parameters
-from slamcmp.types import CameraFrame, GroundTruth, Log, MeasurementStream
+from slamcmp.types import CameraFrame, FloatArray, GroundTruth, Log, MeasurementStream
 
 
 def make_stream(
@@ -36,7 +36,8 @@ def make_stream(
     plugin = sources.get(source[0])
     log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
     if log.images is not None and heartbeat is not None:
-        log = replace(log, images=_Counted(log.images, heartbeat))
+        knows = hasattr(log.images, "true_pixels")
+        log = replace(log, images=(_CountedWithTruth if knows else _Counted)(log.images, heartbeat))
     plugin = front_ends.get(front_end[0])
     stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
     return stream, log
@@ -58,6 +59,15 @@ class _Counted(Sequence[CameraFrame]):
     def __getitem__(self, k: int | slice) -> CameraFrame | Sequence[CameraFrame]:
         self._heartbeat[1] += 1
         return self._images[k]
+
+
+class _CountedWithTruth(_Counted):
+    """Such images that know where they show the same surface."""
+
+    def true_pixels(self, k: int, j: int, pixels: FloatArray) -> FloatArray:
+        """Where frame j shows what frame k shows at pixels (m, 2)."""
+        answer: FloatArray = self._images.true_pixels(k, j, pixels)  # type: ignore[attr-defined]
+        return answer
 
 
 def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> GroundTruth | None:

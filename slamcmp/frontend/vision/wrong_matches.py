@@ -8,7 +8,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from slamcmp.frontend.vision.image_pair import precision_recall
 from slamcmp.types import BoolArray, FloatArray, IntArray
+from slamcmp.types.stream import JUDGED, PASSED, PASSED_RIGHT, RIGHT
 
 CORRECT_PX = 3.0
 """Largest distance between a match and the truth: what is farther off is another corner."""
@@ -50,6 +52,18 @@ class MatchScores:
     """Share of the matches that are correct, after each stage: matched, epipolar, passed."""
     recall: dict[str, float]
     """Share of the correct matches that each stage kept."""
+    passed: int = 0
+    """Matches that passed all tests."""
+    passed_correct: int = 0
+
+    def counts(self) -> dict[str, int]:
+        """What precision and recall are made of, to be added up over streams."""
+        return {
+            JUDGED: self.matches,
+            RIGHT: self.correct,
+            PASSED: self.passed,
+            PASSED_RIGHT: self.passed_correct,
+        }
 
 
 def spoil_matches(chosen: IntArray, features: int, share: float, generator: np.random.Generator) -> IntArray:
@@ -82,10 +96,8 @@ def score_matches(records: Sequence[MatchRecord], truth: TrueMatches) -> MatchSc
     return MatchScores(
         right.size,
         int(right.sum()),
-        {name: _share(right & mask, mask) for name, mask in kept.items()},
-        {name: _share(right & mask, right) for name, mask in kept.items()},
+        {name: precision_recall(mask, right)[0] for name, mask in kept.items()},
+        {name: precision_recall(mask, right)[1] for name, mask in kept.items()},
+        int(kept["passed"].sum()) if kept else 0,
+        int((kept["passed"] & right).sum()) if kept else 0,
     )
-
-
-def _share(part: BoolArray, whole: BoolArray) -> float:
-    return float(part.sum() / whole.sum()) if whole.any() else float("nan")

@@ -22,7 +22,17 @@ from slamcmp.results.store import Results
 from slamcmp.support.atomic import write_atomically
 from slamcmp.support.messages import describe
 
-ORDER = ("map", "errors", "consistency", "observability", "kl_from_batch", "time", "budget", "sweep")
+ORDER = (
+    "map",
+    "errors",
+    "consistency",
+    "observability",
+    "kl_from_batch",
+    "time",
+    "budget",
+    "sweep",
+    "images",
+)
 """How a report reads; figures that are not named here follow in alphabetical order."""
 DPI = 150
 LETTERS_PER_INCH = 11
@@ -48,6 +58,8 @@ class Drawn:
     reason: str = ""
     table: pd.DataFrame | None = None
     """The figure's numbers, where it has a table of them."""
+    panels: tuple[Figure, ...] = ()
+    """The same in small parts, for a page that sets them beside one another as it has room."""
 
 
 def draw_figures(
@@ -115,7 +127,9 @@ def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterato
                     _say(figure, missing.short())
                 make_table = plugin.traits.get("table")
                 table = None if make_table is None else make_table(results)
-                drawn = Drawn(plugin.name, title, caption, figure, table=table)
+                make_panels = plugin.traits.get("panels")
+                panels = () if make_panels is None else tuple(make_panels(results))
+                drawn = Drawn(plugin.name, title, caption, figure, table=table, panels=panels)
             except NotDrawable as reason:
                 drawn = Drawn(plugin.name, title, caption, None, str(reason))
             except Exception as error:
@@ -136,9 +150,10 @@ def fault_text(error: Exception) -> str:
 
 
 def figure_bytes(figure: Figure, file_format: str) -> bytes:
-    """The figure as PNG (150 dpi) or SVG, without the date and with fixed identifiers."""
+    """The figure as PNG, JPEG (150 dpi) or SVG, without the date and with fixed identifiers."""
     # The two writers name the time of writing differently, and neither belongs in a reproducible file.
-    metadata: dict[str, Any] = {"png": {"Software": None}, "svg": {"Date": None}}.get(file_format, {})
+    names: dict[str, dict[str, Any]] = {"png": {"Software": None}, "svg": {"Date": None}}
+    metadata = names.get(file_format, {}) if file_format != "jpg" else None
     buffer = io.BytesIO()
     with matplotlib.rc_context(style.RC):
         figure.savefig(buffer, format=file_format, dpi=DPI, metadata=metadata)
