@@ -224,12 +224,13 @@ def test_without_marks_all_code_is_taken_as_definitions(tmp_path: Path) -> None:
         tmp_path / "ekf.ipynb",
         ("code", "GATE = 5.99\nraise SystemExit", []),
         ("code", "%%time\nslow()", []),
+        ("code", "%%bash\nrm -rf .", []),
         ("code", GOOD, []),
     )
     submission = load_submission(notebook)
     assert submission.definitions_only
     assert submission.files["notebook.py"].decode() == (
-        f"GATE = 5.99\nraise SystemExit\n# %%time\n# slow()\n{GOOD}\n"
+        f"GATE = 5.99\nraise SystemExit\n# %%time\nslow()\n# %%bash\n# rm -rf .\n{GOOD}\n"
     )
 
 

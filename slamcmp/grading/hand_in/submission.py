@@ -34,6 +34,8 @@ class Submission:
     """Run only definitions and imports (a notebook without marked cells)."""
     cells: tuple[CellLine, ...] = ()
     """For a notebook: where each line of the entry comes from."""
+    wanted: tuple[str, ...] = ()
+    """Of a notebook without marked cells: the functions and classes asked for, which decide what is run."""
     left_out: tuple[str, ...] = ()
     """Hidden files and folders that were handed in with it and are not looked at."""
 

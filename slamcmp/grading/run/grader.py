@@ -75,7 +75,7 @@ class Sandboxed:
 
     def __init__(self, assignment: Assignment, submission: Submission, accept_weak: bool) -> None:
         self._assignment = assignment
-        self._submission = submission
+        self._submission = replace(submission, wanted=tuple(assignment.fields.functions))
         self._accept_weak = accept_weak
         self.digest = submission.digest
         reading = read_source(submission, assignment.fields.functions)

@@ -105,7 +105,12 @@ class SandboxSession:
             if self.level in ("reads unprotected", "weak") and not accept_weak:
                 raise SandboxUnavailable(self._refusal())
             loaded = self._request(
-                {"op": "load", "entry": submission.entry, "definitions_only": submission.definitions_only},
+                {
+                    "op": "load",
+                    "entry": submission.entry,
+                    "definitions_only": submission.definitions_only,
+                    "wanted": list(submission.wanted),
+                },
                 f"importing {submission.entry}",
                 self.policy.load_s,
             )

@@ -7,6 +7,7 @@ import linecache
 import os
 import sys
 import traceback
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
@@ -16,10 +17,11 @@ MODULE_NAME = "submission"
 _MESSAGE_MAX, _FRAMES_MAX, _CODE_MAX = 2000, 12, 200
 
 
-def load(folder: str, entry: str, *, definitions_only: bool) -> ModuleType:
+def load(folder: str, entry: str, *, definitions_only: bool, wanted: Sequence[str] = ()) -> ModuleType:
     """Import ``folder/entry``; its neighbours can be imported by it.
 
-    With ``definitions_only``, run what definitions.py chooses: a notebook's exploration is not executed.
+    With ``definitions_only``, run what definitions.py chooses of it for the functions that are wanted: a
+    notebook's exploration is not executed.
 
     Raises:
         BaseException: whatever the submission raises.
@@ -31,7 +33,7 @@ def load(folder: str, entry: str, *, definitions_only: bool) -> ModuleType:
     linecache.cache[path] = (len(source), None, source.splitlines(keepends=True), path)
     tree = ast.parse(source, filename=path)
     if definitions_only:
-        tree.body, _ = definitions(tree.body)
+        tree.body, _ = definitions(tree.body, wanted)
     name = os.path.splitext(os.path.basename(entry))[0]
     if name in sys.modules or name in sys.stdlib_module_names or not name.isidentifier():
         name = MODULE_NAME

@@ -82,7 +82,10 @@ class _Worker:
 
     def _load(self, message: dict[str, Any]) -> Any:
         self._module = self._student.load(
-            self._folder, message["entry"], definitions_only=message["definitions_only"]
+            self._folder,
+            message["entry"],
+            definitions_only=message["definitions_only"],
+            wanted=message["wanted"],
         )
         return self._student.public_names(self._module)
 
