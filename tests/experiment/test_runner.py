@@ -216,6 +216,22 @@ def test_missing_data_ends_the_experiment(write_experiment: Write, tmp_path: Pat
         run_experiment(path, folder=tmp_path / "r", jobs=1)
 
 
+@pytest.mark.parametrize("kind", ["source", "front_end"])
+def test_what_is_no_log_or_stream_is_said_to_be_none(
+    kind: str, write_experiment: Write, tmp_path: Path
+) -> None:
+    (tmp_path / "empty.py").write_text(
+        "def source(seed):\n    pass\ndef front_end(log, seed):\n    return log\n"
+    )
+    path = write_experiment(back_ends=["DeadReckoning"], **{kind: {"name": f"empty.py:{kind}"}})
+    told = {
+        "source": r"source 'empty\.py:source' returned NoneType; a Log is needed",
+        "front_end": r"front end 'empty\.py:front_end' returned Log; a MeasurementStream is needed",
+    }
+    with pytest.raises(UsageError, match=told[kind]):
+        run_experiment(path, folder=tmp_path / "r", jobs=1)
+
+
 def test_impossible_grid_point_costs_only_itself(write_experiment: Write, tmp_path: Path) -> None:
     source = {"name": f"{PLUGINS}:only_even"}
     path = write_experiment(

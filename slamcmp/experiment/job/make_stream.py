@@ -11,7 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.job.planned import held_to_plan, inputs, require_unchanged, unseen_readers
 from slamcmp.experiment.job.task import Task, stream_path
 from slamcmp.frontend.stream_file import save_stream
@@ -31,16 +31,27 @@ def make_stream(
     """The stream that a source and a front end, each (name, parameters), make from a seed; and its log.
 
     ``heartbeat[1]`` is set to the images taken so far.
+
+    Raises:
+        UsageError: one of them returns something else.
+        Exception: whatever they raise.
     """
     seed = 0 if seed is None else seed
     plugin = sources.get(source[0])
     log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
+    _require(log, Log, "source", plugin.name)
     if log.images is not None and heartbeat is not None:
         knows = hasattr(log.images, "true_pixels")
         log = replace(log, images=(_CountedWithTruth if knows else _Counted)(log.images, heartbeat))
     plugin = front_ends.get(front_end[0])
     stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
+    _require(stream, MeasurementStream, "front end", plugin.name)
     return stream, log
+
+
+def _require(made: object, wanted: type, kind: str, name: str) -> None:
+    if not isinstance(made, wanted):
+        raise UsageError(f"{kind} {name!r} returned {type(made).__name__}; a {wanted.__name__} is needed")
 
 
 class _Counted(Sequence[CameraFrame]):
