@@ -60,7 +60,7 @@ class GraphBuilder:
         # Of cameras only: who was seen in each frame, and by which measurement each landmark entered.
         self._sights: list[IntArray] = []
         self._entered: dict[int, tuple[int, FloatArray]] = {}
-        self._prior = _to_gtsam(problem.T_world_body)
+        self._prior = to_gtsam(problem.T_world_body)
         self._prior_P = problem.P
         self._prior_factor = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
         self._between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
@@ -93,7 +93,7 @@ class GraphBuilder:
             predicted = self._prior
             graph.add(self._prior_factor(key, predicted, noiseModel.Gaussian.Covariance(self._prior_P)))
         else:
-            increment = _to_gtsam(frame.T_prev_body)
+            increment = to_gtsam(frame.T_prev_body)
             predicted = previous.compose(increment)
             graph.add(self._between(key - 1, key, increment, self._odometry_noise(frame.Q)))
         values.insert(key, predicted)
@@ -119,6 +119,10 @@ class GraphBuilder:
         """Where the landmarks ``ids`` are, (m, n), in GTSAM values."""
         found = [self._observations.position_of(values, landmark_key(i)) for i in ids]
         return np.array(found).reshape(-1, self.space_dim)
+
+    def landmark_value(self, position: FloatArray) -> Any:
+        """The variable of a landmark at ``position`` (n,)."""
+        return self._observations.value(position)
 
     def joint(self, k: int, covariance: Callable[[list[int]], FloatArray], ids: list[int]) -> FloatArray:
         """Joint covariance (p + n L, p + n L) of pose k and the landmarks ``ids``, in that order.
@@ -211,7 +215,7 @@ class GraphBuilder:
             return
         for earlier, T, P in zip(related.frames.tolist(), related.T_earlier_body, related.P, strict=True):
             require_definite(P, f"the covariance of frame {frame.k} relative to frame {earlier}")
-            graph.add(self._between(pose_key(earlier), key, _to_gtsam(T), self._closure_noise(P)))
+            graph.add(self._between(pose_key(earlier), key, to_gtsam(T), self._closure_noise(P)))
         self._rows += TANGENT_DIM[self.space_dim] * related.frames.size
 
     def _observe(self, graph: Any, values: Any, predicted: Any, frame: Frame) -> None:
@@ -298,7 +302,8 @@ def poses_in(values: Any, frames: int, space_dim: int) -> FloatArray:
     return T
 
 
-def _to_gtsam(T: FloatArray) -> Any:
+def to_gtsam(T: FloatArray) -> Any:
+    """A pose (n+1, n+1) as GTSAM has it."""
     if T.shape[0] == 3:
         return gtsam.Pose2(T[0, 2], T[1, 2], atan2(T[1, 0], T[0, 0]))
     return gtsam.Pose3(T)
