@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval, Lt
+from annotated_types import Ge, Gt, Interval, Le, Lt
 
 from slamcmp.errors import UsageError
 from slamcmp.randomness import random_streams
@@ -26,6 +26,7 @@ def tracked_features(
     seed: int,
     *,
     features: Annotated[int, Ge(16)] = 500,
+    levels: Annotated[int, Ge(1), Le(16)] = 1,
     followed: Annotated[int, Ge(8)] = 150,
     sigma_px: Annotated[float, Gt(0)] = 0.5,
     disparity_sigma_px: Annotated[float, Gt(0)] = 0.2,
@@ -51,6 +52,8 @@ def tracked_features(
         log: its sensor is a camera and it has images.
         seed: of RANSAC's samples and of wrong matches.
         features: corners described in an image.
+        levels: scales that corners are looked for at, 2^(1/4) apart; 1 is the image alone. What comes nearer
+            fast is then found again at another scale, where its place is known less well by that factor.
         followed: points followed at a time; new ones replace those that were lost.
         sigma_px: of a corner's position. A peak between whole pixels is known to some tenths of a pixel,
             and shifts a little when the view of the corner changes.
@@ -77,6 +80,7 @@ def tracked_features(
 
     settings = TrackingSettings(
         features=features,
+        levels=levels,
         followed=followed,
         ratio=ratio,
         threshold_px=threshold_px,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 
 import cv2
@@ -12,18 +13,26 @@ from slamcmp.errors import UsageError
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
 from slamcmp.frontend.vision.matching import match_descriptors
 from slamcmp.frontend.vision.pyramid import STEP, extract_pyramid
+from slamcmp.worlds.rendered import rendered
 from tests.frontend.photographs import photograph
 
 
-def resized(scale: float) -> np.ndarray:
+@cache
+def picture(name: str) -> np.ndarray:
+    """A photograph, or the middle of a rendered room's drive."""
+    return photograph(1) if name == "photograph" else rendered(0, camera="mono", steps=12).images[8].image
+
+
+def resized(scale: float, name: str = "photograph") -> np.ndarray:
     way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(photograph(1), None, fx=scale, fy=scale, interpolation=way))
+    return np.asarray(cv2.resize(picture(name), None, fx=scale, fy=scale, interpolation=way))
 
 
+@pytest.mark.parametrize("name", ["photograph", "rendered room"])
 @pytest.mark.parametrize("scale", [0.5, 0.71, 1.19, 2.0])
-def test_most_corners_that_can_be_found_again_are(scale: float) -> None:
+def test_most_corners_that_can_be_found_again_are(scale: float, name: str) -> None:
     """Those that the other image has at the same place and in the same size, to half a level."""
-    first, second = extract_pyramid(photograph(1)), extract_pyramid(resized(scale))
+    first, second = extract_pyramid(picture(name)), extract_pyramid(resized(scale, name))
     expected = (first.xy + 0.5) * scale - 0.5
     near = np.linalg.norm(expected[:, None] - second.xy[None], axis=2) < 3.0 * max(1.0, scale)
     ratio = first.factor[:, None] * scale / second.factor[None]

@@ -54,11 +54,16 @@ def test_a_third_of_wrong_matches_is_found() -> None:
     assert scores.precision["matched"] + 0.03 < scores.precision["epipolar"] < scores.precision["passed"]
 
 
-@pytest.mark.parametrize("camera", ["stereo", "rgbd"])
-def test_measurements_are_where_the_truth_says(camera: str) -> None:
+@pytest.mark.parametrize(("camera", "levels"), [("stereo", 1), ("rgbd", 1), ("stereo", 4)])
+def test_measurements_are_where_the_truth_says(camera: str, levels: int) -> None:
     """Against each landmark's median place by true poses: a wrong R, frame or id would show."""
     log = room(camera, 30)
-    stream = tracked_features(log, 0, followed=60)
+    stream = tracked_features(log, 0, followed=60, levels=levels)
+    # A corner of a smaller image is known by that image's pixels.
+    variances = {
+        round(float(v), 6) for frame in stream.frames for v in frame.R[:, 2, 2] / frame.R[:, 2, 2].min()
+    }
+    assert variances == {round(2.0 ** (0.5 * level), 6) for level in range(levels)}
     sensor = stream.problem.sensor
     assert isinstance(sensor, StereoCamera)
     seen: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.frontend.vision.image_pair import Features, extract_features
+from slamcmp.frontend.vision.pyramid import extract_pyramid
 from slamcmp.frontend.vision.stereo_matching import match_rows
 from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.types import BoolArray, CameraFrame, FloatArray
@@ -57,7 +58,7 @@ Measure = Callable[[CameraFrame, Features], Measured]
 
 
 def measuring(
-    camera: Camera, noise: Noise, *, features: int, depth_min_m: float
+    camera: Camera, noise: Noise, *, features: int, depth_min_m: float, levels: int = 1
 ) -> tuple[MonoCamera | StereoCamera, Measure]:
     """The sensor that a stream of this camera's measurements has, and the function that makes them.
 
@@ -65,7 +66,7 @@ def measuring(
     """
     intrinsics = {name: value for name, value in camera.parameters().items() if name != "baseline_m"}
     if isinstance(camera, StereoCamera):
-        return camera, _stereo(camera, noise, features, depth_min_m)
+        return camera, _stereo(camera, noise, features, levels, depth_min_m)
     if isinstance(camera, RgbdCamera):
         virtual = StereoCamera(**intrinsics, baseline_m=VIRTUAL_BASELINE_M)
         return virtual, _with_depth(virtual, noise, depth_min_m)
@@ -95,20 +96,25 @@ def _pixels(noise: Noise) -> Measure:
     def measure(frame: CameraFrame, features: Features) -> Measured:  # noqa: ARG001
         count = len(features.xy)
         R = np.broadcast_to(noise.sigma_px**2 * np.eye(2), (count, 2, 2))
+        if features.factor is not None:
+            R = R * (features.factor**2)[:, None, None]
         return Measured(features.xy, R, np.ones(count, dtype=bool))
 
     return measure
 
 
-def _stereo(camera: StereoCamera, noise: Noise, features: int, depth_min_m: float) -> Measure:
+def _stereo(camera: StereoCamera, noise: Noise, features: int, levels: int, depth_min_m: float) -> Measure:
     strength = camera.fx_px * camera.baseline_m
 
     def measure(frame: CameraFrame, left: Features) -> Measured:
         assert frame.image is not None
         assert frame.right is not None
-        right = extract_features(frame.right, count=features)
+        if levels == 1:
+            right = extract_features(frame.right, count=features)
+        else:
+            right = extract_pyramid(frame.right, count=features, levels=levels)
         found = match_rows(left, right, frame.image, frame.right, disparity_max_px=strength / depth_min_m)
-        return _as_pair(left.xy, found.disparity_px, strength / depth_min_m, noise, noise.disparity_sigma_px)
+        return _as_pair(left, found.disparity_px, strength / depth_min_m, noise, noise.disparity_sigma_px)
 
     return measure
 
@@ -121,17 +127,23 @@ def _with_depth(camera: StereoCamera, noise: Noise, depth_min_m: float) -> Measu
         depth = patch_depths(frame.depth_m, features.xy)
         # d(f b / d) = -f b / d² dd, and dd grows with d².
         sigma = strength * noise.depth_sigma_per_m2
-        return _as_pair(features.xy, strength / depth, strength / depth_min_m, noise, sigma)
+        return _as_pair(features, strength / depth, strength / depth_min_m, noise, sigma)
 
     return measure
 
 
 def _as_pair(
-    xy: FloatArray, disparity: FloatArray, largest: float, noise: Noise, disparity_sigma_px: float
+    features: Features, disparity: FloatArray, largest: float, noise: Noise, disparity_sigma_px: float
 ) -> Measured:
+    xy = features.xy
     z = np.stack([xy[:, 0], xy[:, 0] - disparity, xy[:, 1]], axis=-1)
     corner, difference = noise.sigma_px**2, disparity_sigma_px**2
-    R = np.array([[corner, corner, 0.0], [corner, corner + difference, 0.0], [0.0, 0.0, corner]])
+    by_corner = np.array([[corner, corner, 0.0], [corner, corner, 0.0], [0.0, 0.0, corner]])
+    R = np.broadcast_to(by_corner, (len(xy), 3, 3))
+    if features.factor is not None:
+        # A pixel of a smaller image is that much larger; the disparity is aligned in the image itself.
+        R = R * (features.factor**2)[:, None, None]
+    R = R + np.diag([0.0, difference, 0.0])
     with np.errstate(invalid="ignore"):
         valid = (disparity <= largest) & (disparity_sigma_px <= DEPTH_PRECISION * disparity)
-    return Measured(z, np.broadcast_to(R, (len(xy), 3, 3)), valid)
+    return Measured(z, R, valid)

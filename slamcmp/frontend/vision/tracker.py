@@ -22,6 +22,7 @@ from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.matching import match_candidates
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
 from slamcmp.frontend.vision.placing import place_rays
+from slamcmp.frontend.vision.pyramid import extract_pyramid
 from slamcmp.frontend.vision.search_windows import Windows, search_windows
 from slamcmp.frontend.vision.suppression import suppress_cells
 from slamcmp.frontend.vision.track_table import TrackTable
@@ -58,6 +59,7 @@ class TrackingSettings:
     """The parameters of :func:`slamcmp.frontend.tracked_features.tracked_features`."""
 
     features: int
+    levels: int
     followed: int
     ratio: float
     threshold_px: float
@@ -110,7 +112,11 @@ class FeatureTracker:
         self._generator = generator
         noise = Noise(settings.sigma_px, settings.disparity_sigma_px, settings.depth_sigma_per_m2)
         self.sensor, self._measure = measuring(
-            camera, noise, features=settings.features, depth_min_m=settings.depth_min_m
+            camera,
+            noise,
+            features=settings.features,
+            levels=settings.levels,
+            depth_min_m=settings.depth_min_m,
         )
         self._image_camera = MonoCamera(
             fx_px=camera.fx_px,
@@ -154,7 +160,11 @@ class FeatureTracker:
         assert frame.image is not None
         clock = _Clock()
         self._size = frame.image.shape[1], frame.image.shape[0]
-        features = extract_features(frame.image, count=self._settings.features)
+        if self._settings.levels == 1:
+            features = extract_features(frame.image, count=self._settings.features)
+        else:
+            count, levels = self._settings.features, self._settings.levels
+            features = extract_pyramid(frame.image, count=count, levels=levels)
         clock.lap("features")
         measured = self._measure(frame, features)
         self._checks.look(features, measured, self._since_image)
