@@ -46,7 +46,11 @@ class MetricValues:
             point = points.setdefault(repr(dict(trial.swept)), len(points))
             key = tuple(job.key for job in trial.runs)
             if key not in self._known:
-                self._known[key] = self._read(trial)
+                try:
+                    self._known[key] = self._read(trial)
+                except MemoryError:
+                    # The tables say it of each run; here they have no value.
+                    self._known[key] = {job.back_end.label: math.nan for job in trial.runs}
             rows += [(point, label, trial.seed, value) for label, value in self._known[key].items()]
         return pd.DataFrame(rows, columns=["point", "label", "seed", "value"])
 

@@ -6,12 +6,14 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
-from slamcmp.experiment import schedule
+from slamcmp.experiment import runner, schedule, stop_search
 from slamcmp.experiment.gathering import tables
+from slamcmp.experiment.planning import plan
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.results.run_file import load_run
@@ -147,6 +149,24 @@ def test_memory_that_ends_while_results_are_gathered(
     again = run_experiment(path, folder=tmp_path / "r", jobs=1)
     assert again.manifest["jobs_run"] == 0
     assert len(again.frames) == len(whole.frames) == 80
+
+
+@pytest.mark.parametrize("module", [plan, runner, stop_search], ids=lambda module: module.__name__)
+def test_memory_that_ends_before_or_after_results_are_gathered(
+    write_experiment: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: ModuleType
+) -> None:
+    until = {"metric": "online_ate", "half_width": 100.0, "batch": 2, "max_seeds": 2}
+    path = write_experiment(back_ends=["DeadReckoning", "Hindsight"], until=until)
+    run_experiment(path, folder=tmp_path / "r", jobs=1)
+
+    def fail(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "load_truth", fail)
+        results = run_experiment(path, folder=tmp_path / "r", jobs=1)
+    assert_all_there(results, 4, 0)
+    assert (results.trials["status"] == "ok").all()
 
 
 def test_texts_that_files_and_tables_find_hard_to_hold(tmp_path: Path) -> None:

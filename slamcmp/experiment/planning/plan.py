@@ -42,7 +42,11 @@ def plan_experiment(
     for trial in plan.trials:
         if trial.stream.key in seen:
             continue
-        known = load_truth(truth_path(folder, trial.stream.key))
+        try:
+            known = load_truth(truth_path(folder, trial.stream.key))
+        except MemoryError:
+            # Its worker, or its rows, will say so.
+            known = None
         gone = known is None or known.error is not None or not unchanged(known.inputs)
         waiting = False
         for job in trial.runs:
