@@ -22,7 +22,7 @@ _FLAT_SIGMA = 1.0
 """Grey levels; below this standard deviation an image holds nothing but sensor noise."""
 SIDE_MIN_PX = 47
 """A smaller image has no place for a descriptor's patch and a corner's neighbours."""
-_PIXELS_MAX = 40_000_000
+PIXELS_MAX = 40_000_000
 """Corners need some sixty bytes a pixel."""
 
 
@@ -166,10 +166,10 @@ def _decoded(path: Path) -> NDArray[Any]:
             image = None
     if complaints:
         raise UnusableImageError(path, "the image file is damaged", f" ({complaints[0]})")
-    if image is not None and image.shape[0] * image.shape[1] > _PIXELS_MAX:
+    if image is not None and image.shape[0] * image.shape[1] > PIXELS_MAX:
         size = f"{image.shape[1]}×{image.shape[0]}"
         raise UnusableImageError(
-            path, f"{size} pixels are more than {_PIXELS_MAX // 10**6} megapixels", "; make it smaller first"
+            path, f"{size} pixels are more than {PIXELS_MAX // 10**6} megapixels", "; make it smaller first"
         )
     if image is None:
         raise UnusableImageError(

@@ -34,6 +34,7 @@ from slamcmp.datasets.trajectories import nearest_rotations
 from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse, pose
+from slamcmp.image_files import PIXELS_MAX
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.registry import did_you_mean
 from slamcmp.types import FloatArray
@@ -70,13 +71,10 @@ def read_calibration(path: Path) -> Calibration:
     """
     data = colmap(path) if path.suffix == ".txt" else in_own_words(path, read_mapping(path))
     kind = value_of(path, data, "camera")
-    if kind not in _OWN:
+    if not isinstance(kind, str) or kind not in _OWN:
         raise DataError(f"{path}: camera is {kind!r}; mono, stereo or rgbd is needed")
     _require_known(path, data, _COMMON | _OWN[kind])
-    width, height = (
-        _positive(path, "image_size", value) for value in numbers_of(path, data, "image_size", 2)
-    )
-    size = (int(width), int(height))
+    size = _size(path, data)
     mounting = _rigid(path, data, "T_body_camera") if "T_body_camera" in data else FORWARD_CAMERA
     lens = _lens(path, data)
     require_no_fold(lens, size, source=str(path))
@@ -92,6 +90,16 @@ def read_calibration(path: Path) -> Calibration:
             calibration = Calibration(rgbd, size, remap, None, _depth(path, data))
     require_fit(calibration.camera, size, str(path))
     return calibration
+
+
+def _size(path: Path, data: dict[str, Any]) -> Size:
+    width, height = numbers_of(path, data, "image_size", 2)
+    if not (width >= 1 and height >= 1 and width * height <= PIXELS_MAX) or width % 1 or height % 1:
+        raise DataError(
+            f"{path}: image_size is {width:g} by {height:g}; whole pixels, {PIXELS_MAX // 10**6} million at "
+            "most, are needed"
+        )
+    return int(width), int(height)
 
 
 def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: FloatArray) -> Calibration:

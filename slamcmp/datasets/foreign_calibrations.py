@@ -78,7 +78,7 @@ def colmap(path: Path) -> Own:
         raise DataError(f"{where}: {model} with {len(parameters)} parameters; there are some missing")
     # COLMAP's pixel (0, 0) is the corner of the first pixel, ours its centre.
     fx, fy, cx, cy = (parameters[i] for i in at)
-    own: Own = {"camera": "mono", "image_size": [int(width), int(height)]}
+    own: Own = {"camera": "mono", "image_size": [width, height]}
     own["intrinsics"] = [fx, fy, cx - 0.5, cy - 0.5]
     if lens:
         own["distortion"] = [0.0 if i is None else parameters[i] for i in lens]
@@ -90,7 +90,7 @@ def colmap(path: Path) -> Own:
 def _kalibr(path: Path, data: dict[str, Any]) -> Own:
     own: Own = {"camera": "stereo" if "cam1" in data else "mono"}
     left = _kalibr_camera(path, data, "cam0")
-    own["image_size"] = [int(n) for n in numbers_of(path, data, "cam0.resolution", 2)]
+    own["image_size"] = numbers_of(path, data, "cam0.resolution", 2)
     own |= left
     if "cam1" in data:
         T_right_left = np.array(numbers_of(path, data, "cam1.T_cn_cnm1", 16)).reshape(4, 4)
@@ -133,6 +133,6 @@ def _matrices(path: Path, data: dict[str, Any]) -> Own:
 
 
 def _lens(path: Path, key: str, name: Any) -> str:
-    if name not in _LENSES:
+    if not isinstance(name, str) or name not in _LENSES:
         raise DataError(f"{path}: {key} is {name!r}; one of {', '.join(_LENSES)} is needed")
     return _LENSES[name]

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
+import json
 import random
 import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,3 +125,53 @@ def test_spoilt_files_are_read_or_refused_in_one_line(
         path.write_bytes(good)
     assert len(refused) > 30
     assert [text for text in refused if "\n" in text] == []
+
+
+CALIBRATIONS: list[dict[str, Any]] = [
+    {"camera": "mono", "image_size": [640, 480], "intrinsics": [500.0, 500.0, 320.0, 240.0]}
+    | {
+        "lens": "radial-tangential",
+        "distortion": [-0.1, 0.01, 0, 0],
+        "T_body_camera": np.eye(4).ravel().tolist(),
+    },
+    {
+        "cam0": {
+            "camera_model": "pinhole",
+            "intrinsics": [500.0, 500.0, 320.0, 240.0],
+            "resolution": [640, 480],
+        }
+        | {"distortion_model": "radtan", "distortion_coeffs": [0, 0, 0, 0]}
+    },
+]
+VALUES: list[Any] = [
+    *(None, "x", "", [], {}, True, -1, 0, np.inf, np.nan, 1e300, [[1]], [None], ["a"], {"a": 1}, 10**30),
+    *(
+        [1] * 4,
+        [0] * 4,
+        [1e300] * 4,
+        [10**30] * 2,
+        [0] * 16,
+        [1e200] * 16,
+        [640.5, 480],
+        [0, 0],
+        [10**6, 10**6],
+    ),
+]
+
+
+@pytest.mark.parametrize("good", CALIBRATIONS, ids=["own", "kalibr"])
+def test_calibrations_with_values_of_any_kind(tmp_path: Path, good: dict[str, Any]) -> None:
+    path = tmp_path / "c.yaml"
+    refused = 0
+    for within in ((), *((name,) for name, value in good.items() if isinstance(value, dict))):
+        for name in good[within[0]] if within else good:
+            for value in VALUES:
+                wrong = copy.deepcopy(good)
+                (wrong[within[0]] if within else wrong)[name] = value
+                path.write_text(json.dumps(wrong).replace("Infinity", ".inf").replace("NaN", ".nan"))
+                with warnings.catch_warnings(), contextlib.suppress(DataError):
+                    warnings.simplefilter("error")
+                    read_calibration(path)
+                    continue
+                refused += 1
+    assert refused > 100
