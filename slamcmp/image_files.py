@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp import jpeg
+from slamcmp import jpeg, png
 from slamcmp.errors import DataError, MissingDataError
 
 GrayImage = NDArray[np.uint8]
@@ -159,6 +159,9 @@ def _decoded(path: Path) -> NDArray[Any]:
         raise MissingDataError(f"{path}: cannot be read ({error.strerror})") from error
     if _is_truncated(data):
         raise UnusableImageError(path, "the image file is truncated", f" ({len(data)} bytes, no end marker)")
+    # Before it is decoded: a file of a megabyte may promise gigabytes.
+    for promised in (jpeg.size(data), png.size(data)):
+        _require_reasonable(path, promised)
     with jpeg.decoder_complaints(data) as complaints:
         try:
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if data else None
@@ -166,16 +169,18 @@ def _decoded(path: Path) -> NDArray[Any]:
             image = None
     if complaints:
         raise UnusableImageError(path, "the image file is damaged", f" ({complaints[0]})")
-    if image is not None and image.shape[0] * image.shape[1] > PIXELS_MAX:
-        size = f"{image.shape[1]}×{image.shape[0]}"
-        raise UnusableImageError(
-            path, f"{size} pixels are more than {PIXELS_MAX // 10**6} megapixels", "; make it smaller first"
-        )
     if image is None:
         raise UnusableImageError(
             path, "not an image that can be decoded, or damaged", f" ({len(data)} bytes)"
         )
+    _require_reasonable(path, (image.shape[1], image.shape[0]))
     return np.asarray(image)
+
+
+def _require_reasonable(path: Path, size: Size) -> None:
+    if size[0] * size[1] > PIXELS_MAX:
+        phrase = f"{size[0]}×{size[1]} pixels are more than {PIXELS_MAX // 10**6} megapixels"
+        raise UnusableImageError(path, phrase, "; make it smaller first")
 
 
 def _shape_problem(image: NDArray[Any], size: Size | None) -> str:
@@ -189,6 +194,6 @@ def _is_truncated(data: bytes) -> bool:
     """Whether a JPEG or PNG stops before its end marker: some OpenCV versions then fill up with grey."""
     if data.startswith(jpeg.START):
         return not jpeg.is_whole(data)
-    if data.startswith(b"\x89PNG"):
-        return b"IEND" not in data[-64:]
+    if data.startswith(png.START[:4]):
+        return not png.is_whole(data)
     return False

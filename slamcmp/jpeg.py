@@ -12,11 +12,14 @@ START = b"\xff\xd8"
 _SCAN, _END, _APP1 = 0xDA, 0xD9, 0xE1
 _ALONE = {0x01, *range(0xD0, 0xD9)}
 """Markers without a length: TEM, the restarts and the start itself."""
+_NO_FRAME = {0xC4, 0xC8, 0xCC}
+"""Among the frames' markers: tables, and what is reserved."""
 _NEXT = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
 """The first marker after coded data: there, FF is followed by 00, by another FF or by a restart."""
 _ORIENTATION = 0x0112
+_TIFF = (b"II*\0", b"MM\0*")
 _COMPLAINTS = re.compile(
-    rb"Corrupt JPEG|Premature end of JPEG|Invalid JPEG|bad Huffman code|Unsupported marker"
+    rb"Corrupt JPEG|Premature end of JPEG|Invalid JPEG|bad Huffman code|Unsupported marker|TIFF_Error"
 )
 
 
@@ -48,6 +51,20 @@ def is_whole(data: bytes) -> bool:
     return False
 
 
+def size(data: bytes) -> tuple[int, int]:
+    """(width, height) that the frame's header promises; (0, 0) where there is none."""
+    at = 2
+    while data.startswith(START) and at + 9 <= len(data) and data[at] == 0xFF and data[at + 1] != _SCAN:
+        marker = data[at + 1]
+        if marker in _ALONE or marker == 0xFF:
+            at += 1 if marker == 0xFF else 2
+            continue
+        if 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME:
+            return int.from_bytes(data[at + 7 : at + 9]), int.from_bytes(data[at + 5 : at + 7])
+        at += 2 + int.from_bytes(data[at + 2 : at + 4])
+    return 0, 0
+
+
 def orientation(data: bytes) -> int:
     """EXIF's number for how the picture is to be turned for the eye: 1 is as stored, 6 a quarter right."""
     at = 2
@@ -77,12 +94,13 @@ def _from_tiff(tiff: bytes) -> int:
 
 @contextmanager
 def decoder_complaints(data: bytes) -> Iterator[list[str]]:
-    """What libjpeg writes to the standard error while it decodes ``data``; nothing for other formats.
+    """What libjpeg, or OpenCV for libtiff, writes to the standard error while it decodes ``data``.
 
-    It fills up damaged data with grey and goes on. Anything else that was written there is passed on.
+    They fill up damaged data with grey and go on; of other formats nothing is told. Anything else that was
+    written there is passed on.
     """
     complaints: list[str] = []
-    if not data.startswith(START):
+    if not data.startswith((START, *_TIFF)):
         yield complaints
         return
     with tempfile.TemporaryFile() as file:

@@ -7,7 +7,7 @@ YAML with these keys, in pixels and metres::
     camera: stereo                  # mono, stereo or rgbd
     image_size: [752, 480]          # width, height
     intrinsics: [fx, fy, cx, cy]
-    distortion: [k1, k2, p1, p2]    # radial-tangential, k3 may follow; absent: none
+    distortion: [k1, k2, p1, p2]    # radial-tangential, k3 may follow, or k3 to k6; absent: none
     lens: equidistant               # a fisheye with distortion [k1, k2, k3, k4]; absent: radial-tangential
     T_body_camera: [...]            # 4×4; absent: x forward, y left, z up at the camera
     baseline_m: 0.12                # stereo, where the pair is rectified already; else:
@@ -30,8 +30,7 @@ import numpy as np
 from slamcmp.datasets.camera_frames import DepthFormat, require_fit
 from slamcmp.datasets.foreign_calibrations import colmap, in_own_words
 from slamcmp.datasets.rectification import Lens, Remap, Size, rectify, require_no_fold, undistort
-from slamcmp.datasets.trajectories import nearest_rotations
-from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
+from slamcmp.datasets.yaml_file import numbers_of, read_mapping, rigid_of, value_of
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.image_files import PIXELS_MAX
@@ -75,7 +74,7 @@ def read_calibration(path: Path) -> Calibration:
         raise DataError(f"{path}: camera is {kind!r}; mono, stereo or rgbd is needed")
     _require_known(path, data, _COMMON | _OWN[kind])
     size = _size(path, data)
-    mounting = _rigid(path, data, "T_body_camera") if "T_body_camera" in data else FORWARD_CAMERA
+    mounting = rigid_of(path, data, "T_body_camera") if "T_body_camera" in data else FORWARD_CAMERA
     lens = _lens(path, data)
     require_no_fold(lens, size, source=str(path))
     if kind == "stereo":
@@ -114,7 +113,7 @@ def _stereo(path: Path, data: dict[str, Any], lens: Lens, size: Size, mounting: 
         camera = StereoCamera(**_intrinsics(lens.K), baseline_m=baseline, T_body_camera=mounting)
         return Calibration(camera, size, None, None, None)
     _require_known(path, data["right"], _RIGHT, "right.")
-    T_left_right = _rigid(path, data, "right.T_left_right")
+    T_left_right = rigid_of(path, data, "right.T_left_right")
     right = _lens(path, data, "right.")
     require_no_fold(right, size, source=f"{path}: right")
     pair = rectify(lens, right, inverse(T_left_right), size, source=f"{path}: right.T_left_right")
@@ -148,7 +147,9 @@ def _lens(path: Path, data: dict[str, Any], prefix: str = "") -> Lens:
     for value in (fx, fy):
         _positive(path, f"{prefix}intrinsics", value)
     inner = data["right"] if prefix else data
-    distortion = numbers_of(path, data, f"{prefix}distortion", 4, 5) if "distortion" in inner else [0.0] * 4
+    distortion = (
+        numbers_of(path, data, f"{prefix}distortion", 4, 5, 8) if "distortion" in inner else [0.0] * 4
+    )
     kind = inner.get("lens", _LENSES[0])
     if kind not in _LENSES:
         raise DataError(f"{path}: {prefix}lens is {kind!r}; {' or '.join(_LENSES)} is needed")
@@ -156,16 +157,6 @@ def _lens(path: Path, data: dict[str, Any], prefix: str = "") -> Lens:
     if equidistant and len(distortion) != 4:
         raise DataError(f"{path}: {prefix}distortion of an equidistant lens has 4 numbers, k1 to k4")
     return Lens(np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), np.array(distortion), equidistant)
-
-
-def _rigid(path: Path, data: dict[str, Any], key: str) -> FloatArray:
-    T = np.array(numbers_of(path, data, key, 16)).reshape(4, 4)
-    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise DataError(
-            f"{path}: the last row of {key} is {T[3].tolist()} where 0, 0, 0, 1 is needed; is the matrix "
-            "transposed?"
-        )
-    return pose(nearest_rotations(path, T[:3, :3]), T[:3, 3])
 
 
 def _positive(path: Path, key: str, value: Any) -> float:

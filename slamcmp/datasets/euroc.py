@@ -21,8 +21,8 @@ from slamcmp.datasets.pairing import nearest_in_time
 from slamcmp.datasets.recording import Recording, image_source
 from slamcmp.datasets.rectification import Lens, Size, rectify, require_no_fold, undistort
 from slamcmp.datasets.text import whole
-from slamcmp.datasets.trajectories import MAX_GAP_S, nearest_rotations, ordered, poses_at, poses_from
-from slamcmp.datasets.yaml_file import numbers_of, read_mapping, value_of
+from slamcmp.datasets.trajectories import MAX_GAP_S, ordered, poses_at, poses_from
+from slamcmp.datasets.yaml_file import numbers_of, read_mapping, rigid_of, value_of
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import MonoCamera, StereoCamera
@@ -122,7 +122,6 @@ class _Camera:
                 raise DataError(f"{sheet}: {key} is {data[key]!r}; {' or '.join(known)} is needed")
         width, height = numbers_of(sheet, data, "resolution", 2)
         fx, fy, cx, cy = numbers_of(sheet, data, "intrinsics", 4)
-        mounting = np.array(numbers_of(sheet, data, "T_BS.data", 16)).reshape(4, 4)
         lens = Lens(
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             np.array(numbers_of(sheet, data, "distortion_coefficients", 4, 5)),
@@ -135,9 +134,10 @@ class _Camera:
         return cls(
             lens,
             (int(width), int(height)),
-            pose(nearest_rotations(sheet, mounting[:3, :3]), mounting[:3, 3]),
+            rigid_of(sheet, data, "T_BS.data"),
             np.array([_nanoseconds(where, fields[0]) for where, fields in rows]),
-            tuple(folder / "data" / fields[1] for _, fields in rows),
+            # A name may hold blanks.
+            tuple(folder / "data" / " ".join(fields[1:]) for _, fields in rows),
             (sheet, listing),
         )
 

@@ -133,7 +133,9 @@ def _images(folder: Path) -> list[Path]:
 def _natural(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     """Numbers in a name count as numbers: img2 before img10."""
     parts = re.findall(r"[0-9]+|[^0-9]+", path.stem)
-    return [(not p.isdigit(), int(p) if p.isdigit() else 0, p) for p in parts], path.name
+    # Only these digits: a superscript two is one of Python's too, and no number.
+    numbered = [p[0] in "0123456789" for p in parts]
+    return [(not n, int(p) if n else 0, p) for p, n in zip(parts, numbered, strict=True)], path.name
 
 
 def _turned_for_the_eye(images: list[Path]) -> list[str]:

@@ -8,6 +8,7 @@ turn by 0.6° in heading against what the images show (docs/recorded-images.md),
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -122,7 +123,7 @@ def _image_folder(root: Path, names: tuple[str, ...]) -> Path:
 
 def _frame_numbers(folder: Path) -> list[int]:
     """From the first image to the last; a missing one in between is a frame without image."""
-    found = sorted(int(path.stem) for path in folder.glob("*.png") if path.stem.isdigit())
+    found = sorted(int(path.stem) for path in folder.glob("*.png") if re.fullmatch("[0-9]+", path.stem))
     if not found:
         raise MissingDataError(f"{folder}: holds no images such as 000000.png; get them from {ORIGIN}")
     return list(range(found[0], found[-1] + 1))

@@ -1,7 +1,8 @@
 """Lens distortion and stereo rectification, by OpenCV, as a look-up that straightens each image.
 
-The lens is Brown's: radial k1, k2, k3 and tangential p1, p2, in OpenCV's order (k1, k2, p1, p2, k3). The
-new image shows only what the camera saw: it is cropped to where every pixel has a source.
+The lens is Brown's: radial k1, k2, k3 and tangential p1, p2, in OpenCV's order (k1, k2, p1, p2, k3), over
+1 + k4 r² + k5 r⁴ + k6 r⁶ where these three follow (the rational model). The new image shows only what the
+camera saw: it is cropped to where every pixel has a source.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ class Lens:
     K: FloatArray
     """(3, 3) [px]."""
     distortion: FloatArray
-    """(k1, k2, p1, p2) or (k1, k2, p1, p2, k3); (k1, k2, k3, k4) of an equidistant lens."""
+    """(k1, k2, p1, p2), perhaps with k3 or with k3, k4, k5, k6; (k1, k2, k3, k4) of an equidistant lens."""
     equidistant: bool = False
     """A fisheye: the angle from the axis is mapped, not its tangent (Kannala and Brandt 2006)."""
 
@@ -42,8 +43,9 @@ class Lens:
             k = self.distortion
             return np.asarray(angle * np.polyval([k[3], k[2], k[1], k[0], 1.0], angle**2))
         k1, k2 = self.distortion[:2]
-        k3 = self.distortion[4] if self.distortion.size > 4 else 0.0
-        return np.asarray(r * np.polyval([k3, k2, k1, 1.0], r**2))
+        k3, k4, k5, k6 = [*self.distortion[4:8], 0.0, 0.0, 0.0, 0.0][:4]
+        below = np.polyval([k6, k5, k4, 1.0], r**2)
+        return np.asarray(r * np.polyval([k3, k2, k1, 1.0], r**2) / below)
 
 
 @dataclass(frozen=True)

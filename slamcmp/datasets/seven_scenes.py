@@ -88,15 +88,20 @@ def _frames(root: Path) -> list[tuple[str, Path]]:
     names = [
         match
         for path in root.iterdir()
-        if (match := re.fullmatch(r"frame-(\d+)\.(color|depth|pose)\.(png|jpg|txt)", path.name))
+        if (match := re.fullmatch(r"frame-([0-9]+)\.(color|depth|pose)\.(png|jpg|txt)", path.name))
     ]
     suffixes = {match[3] for match in names if match[2] == "color"}
     if not suffixes:
         raise MissingDataError(
             f"{root}: holds no images such as frame-000000.color.png; get them from {ORIGIN}"
         )
+    if len(suffixes) > 1:
+        raise DataError(
+            f"{root}: holds colour images as {' and as '.join(sorted(suffixes))}; which ones count is not "
+            "told: keep one format"
+        )
     # A frame of which any file is there counts: what is missing of it is then said of the frame.
-    suffix = sorted(suffixes)[0]
+    (suffix,) = suffixes
     frames = sorted({match[1] for match in names}, key=int)
     return [(digits, root / f"frame-{digits}.color.{suffix}") for digits in frames]
 
@@ -108,5 +113,5 @@ def _pose(path: Path) -> FloatArray:
         if T.shape != (4, 4):
             raise DataError(f"{path}: {len(T)} rows where 4 are needed")
         return pose(nearest_rotations(path, T[:3, :3]), T[:3, 3])
-    except (DataError, FileNotFoundError):
+    except (DataError, MissingDataError):
         return np.full((4, 4), np.nan)

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from slamcmp.datasets.text import read_text
+from slamcmp.datasets.trajectories import nearest_rotations
 from slamcmp.errors import DataError
+from slamcmp.geometry import pose
+from slamcmp.types import FloatArray
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
@@ -24,6 +27,8 @@ def read_mapping(path: Path) -> dict[str, Any]:
         text = read_text(path)
         if text.startswith("%YAML"):
             text = "\n" + text.partition("\n")[2]
+        # A printed ROS message ends with the line that would begin the next one.
+        text = text.rstrip().removesuffix("\n---")
         loader = YAML(typ="safe", pure=True)
         loader.constructor.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
         data = loader.load(text)
@@ -65,6 +70,21 @@ def numbers_of(path: Path, data: dict[str, Any], key: str, *counts: int) -> list
         raise DataError(f"{path}: {key} has {flat.size} values; {wanted} finite numbers are needed")
     found: list[float] = flat.tolist()
     return found
+
+
+def rigid_of(path: Path, data: dict[str, Any], key: str) -> FloatArray:
+    """The rigid transform (4, 4) at ``key``, its rotation freed of rounding.
+
+    Raises:
+        DataError: it is none; a matrix that was transposed shows in its last row.
+    """
+    T = np.array(numbers_of(path, data, key, 16)).reshape(4, 4)
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise DataError(
+            f"{path}: the last row of {key} is {T[3].tolist()} where 0, 0, 0, 1 is needed; is the matrix "
+            "transposed?"
+        )
+    return pose(nearest_rotations(path, T[:3, :3]), T[:3, 3])
 
 
 def _opencv_matrix(constructor: Any, node: Any) -> Any:

@@ -322,6 +322,13 @@ def test_names_come_in_natural_order_and_hidden_files_do_not_count(tmp_path: Pat
     assert len(log.images) == 12
 
 
+def test_other_scripts_digits_are_no_numbers(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path, count=0)
+    for k, name in enumerate(("a2.png", "a10.png", "a²5.png", "²3.png", "٣.png")):
+        assert cv2.imwrite(str(folder / "left" / name), picture(k))
+    assert len(log_of(folder).images) == 5
+
+
 def test_two_formats_of_one_image_are_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path)
     assert cv2.imwrite(str(folder / "left" / "003.jpg"), picture(3))

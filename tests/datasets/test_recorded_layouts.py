@@ -164,6 +164,14 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_two_formats_of_a_scene_s_images_are_refused(scene: Path) -> None:
+    cv2.imwrite(str(scene / "frame-000003.color.jpg"), np.zeros((480, 640), np.uint8))
+    with pytest.raises(
+        DataError, match="holds colour images as jpg and as png; which ones count is not told"
+    ):
+        seven_scenes(0, folder=str(scene))
+
+
 def test_seven_scenes_with_lost_frames(scene: Path) -> None:
     image = np.full((480, 640), 1500, np.uint16)
     image[:240] = 65535
@@ -255,6 +263,11 @@ def test_what_is_wrong_with_a_flight(flight: Path) -> None:
         ("intrinsics", "intrinsic", "has no intrinsics"),
         ("0.07, ", "", "distortion_coefficients has 3 values; 4 or 5 finite numbers are needed"),
         ("T_BS:", "T_BS: [", "not valid YAML"),
+        (
+            "0.11, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]",
+            "0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.11, 0.0, 0.0, 1.0]",
+            r"the last row of T_BS.data is \[0.11, 0.0, 0.0, 1.0\] .* is the matrix transposed",
+        ),
     ):
         sheet.write_text(SENSOR.format(x=0.11).replace(old, new))
         with pytest.raises(DataError, match=message):
