@@ -130,6 +130,9 @@ def test_a_killed_class_run_goes_on_with_the_same_scores_and_leaves_no_process(
 ) -> None:
     expected = build(place / "class", size)
     process = _start(place)
+    _end_when_done(place, process, size // 4, signal.SIGINT)
+    _assert_nothing_runs(process.pid, place)
+    process = _start(place)
     done = _end_when_done(place, process, size // 2, signal.SIGKILL)
     _assert_nothing_runs(process.pid, place)
     halfway = {student: row for student, row in _gradebook(place).items() if row["graded"] != "pending"}

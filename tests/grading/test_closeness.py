@@ -10,7 +10,8 @@ import pytest
 from slamcmp.geometry import se2
 from slamcmp.grading.assignment.description import load_source
 from slamcmp.grading.run.closeness import Rounded, entry_scales, judge_entries, rounded_answers
-from slamcmp.grading.run.implementations import TrustedImplementation
+from slamcmp.grading.run.diagnosis import explain
+from slamcmp.grading.run.implementations import Remembered, TrustedImplementation
 
 FULL, ZERO = 1e-8, 1e-2
 COVARIANCE = np.diag([1e-3, 1.0, 100.0]) @ (np.eye(3) + 0.5) @ np.diag([1e-3, 1.0, 100.0])
@@ -50,7 +51,7 @@ def test_a_result_in_single_precision_is_right(case: str) -> None:
 def test_an_entry_that_is_zero_by_chance_is_judged_by_what_it_usually_is() -> None:
     usual = [np.array([3.0, angle]) for angle in (0.5, -0.2, 1.0, -1.2)]
     expected = np.array([3.0, 1e-9])
-    assert entry_scales(expected, usual)[1] == pytest.approx(0.75)
+    assert entry_scales(expected, usual)[1] == pytest.approx(0.5)
     assert share(expected + np.array([0.0, 1e-9]), expected, *usual) == 1.0
     assert share(expected + np.array([0.0, 1e-2]), expected, *usual) == 0.0
 
@@ -114,3 +115,12 @@ def test_arguments_are_rounded_by_half_a_unit_of_single_precision_and_stay_symme
     assert scalar != number
     assert labels["label"] is label
     assert text == "text"
+
+
+def test_a_mistake_in_a_small_entry_is_told_from_another_in_it() -> None:
+    """Beside a landmark far off a metre is nothing; who moves the near one is named all the same."""
+    far = np.array([[2.0, 1.0], [4e7, 3e7]])
+    right, wrong = [Remembered("f", (), far)], [Remembered("f", (), far + np.array([[1.0, 0.0], [0.0, 0.0]]))]
+    other = [Remembered("f", (), far + np.array([[0.0, 1.0], [0.0, 0.0]]))]
+    assert explain(wrong, right, [("in y", other), ("in x", wrong)]) == ["in x"]
+    assert explain(wrong, right, [("in y", other)]) != ["in y"]

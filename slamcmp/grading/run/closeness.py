@@ -232,7 +232,8 @@ def _typical(expected: FloatArray, alike: Sequence[FloatArray]) -> FloatArray | 
 
 def _median(sizes: FloatArray) -> FloatArray:
     finite = np.where(np.isfinite(sizes), sizes, 0.0)
-    median: FloatArray = np.median(finite, axis=0)
+    # Of an even number the smaller one: of two points one may be far off.
+    median: FloatArray = np.sort(finite, axis=0)[(len(finite) - 1) // 2]
     return median
 
 

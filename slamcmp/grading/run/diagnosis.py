@@ -17,11 +17,15 @@ from typing import Any
 import numpy as np
 
 from slamcmp.grading.results.scoring import leaves
+from slamcmp.grading.run.closeness import entry_errors, entry_scales
 from slamcmp.grading.run.implementations import Remembered
 from slamcmp.types import FloatArray
 
 SAME = 1e-6
 """Relative difference of answers that come from the same equations."""
+SAME_ENTRY = 1e-5
+"""The same for each entry, relative to its own scale."""
+_EQUAL = 1e-12
 CAUSES = 2
 """Most causes that are named of one test."""
 _TURN = 2 * np.pi
@@ -183,9 +187,16 @@ def _alike(first: Any, second: Any) -> bool:
     if a is None or b is None or a.shape != b.shape:
         return a is None and b is None
     with np.errstate(invalid="ignore", over="ignore"):
-        close = np.abs(a - b) <= 1e-12 + SAME * _largest_finite(b)
-    # np.allclose takes five times as long for the small arrays that these are.
-    return bool(close.all() or (close | (a == b) | (np.isnan(a) & np.isnan(b))).all())
+        apart = np.abs(a - b)
+        largest = _largest_finite(b)
+        # np.allclose takes five times as long for the small arrays that these are.
+        close = apart <= 1e-12 + SAME * largest
+        if not (close.all() or (close | (a == b) | (np.isnan(a) & np.isnan(b))).all()):
+            return False
+        if (apart <= _EQUAL * largest).all():
+            return True
+    # A small entry may be another, though it is nothing beside a large one.
+    return bool((entry_errors(a, b, entry_scales(b)) <= SAME_ENTRY).all())
 
 
 def _largest_finite(values: FloatArray) -> float:
