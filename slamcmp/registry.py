@@ -180,7 +180,9 @@ def load_user_plugin(spec: str, registry: Registry) -> Plugin:
         classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
         raise UsageError(f"{kind} {spec!r}: {path} has no {attribute!r}{did_you_mean(attribute, classes)}")
     traits = {**registry.traits_of(target), "user_file": path}
-    return Plugin(f"{path.name}:{attribute}", target, traits)
+    # A file's name need not be valid Unicode; what tables show of it has to be.
+    shown = path.name.encode("utf-8", "backslashreplace").decode()
+    return Plugin(f"{shown}:{attribute}", target, traits)
 
 
 def _told(error: BaseException, path: Path) -> str:

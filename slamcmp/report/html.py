@@ -64,7 +64,8 @@ def write_report(results: Results, path: Path | str) -> Path:
         StorageError: the disk is full or the folder cannot be written; an older report is untouched.
     """
     path = Path(path)
-    page = report_html(results).encode()
+    # The name of a folder or a file, which the page tells, need not be valid Unicode.
+    page = report_html(results).encode("utf-8", "replace")
     write_atomically(path, lambda file: file.write(page))
     return path
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +18,8 @@ from slamcmp.experiment.gathering import tables
 from slamcmp.experiment.planning import plan
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
+from slamcmp.registry import back_ends
+from slamcmp.report import html
 from slamcmp.results.run_file import load_run
 from slamcmp.results.store import Results, load_results
 from slamcmp.support.messages import LIMIT, describe, told
@@ -210,6 +214,22 @@ def test_remains_that_cannot_be_kept_cost_one_row(tmp_path: Path, monkeypatch: p
     results = run_experiment(path, folder=tmp_path / "r", jobs=1)
     assert results.trials["status"].tolist() == ["ok", "crashed"]
     assert "what it left cannot be kept: RuntimeError: nothing of it" in results.trials["message"][1]
+
+
+@pytest.mark.skipif(sys.platform == "darwin", reason="its file systems take valid Unicode only")
+def test_files_whose_names_are_no_valid_unicode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / os.fsdecode(b"f\xff")
+    folder.mkdir()
+    path = write_edges(folder, edge("Late", at=1000)).rename(folder / os.fsdecode(b"e\xff.yaml"))
+    own = folder / os.fsdecode(b"b\xff.py")
+    own.write_text("from tests.user_plugins import DeadReckoning\nclass Own(DeadReckoning):\n    pass\n")
+    assert back_ends.get(f"{own}:Own").name == "b\\udcff.py:Own"
+    results = run_experiment(path, folder=folder / "r", jobs=1)
+    assert load_results(results.folder).trials["status"].tolist() == ["ok"]
+    # Of the page only the writing: drawing it takes seconds.
+    monkeypatch.setattr(html, "report_html", lambda results: f"<p>{results.folder}")
+    page = html.write_report(results, folder / "report.html").read_text(encoding="utf-8")
+    assert page.endswith("f?/r")
 
 
 def test_any_text_becomes_one_that_can_be_stored() -> None:
