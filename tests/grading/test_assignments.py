@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from slamcmp.backends.window.sliding_window import SlidingWindow
@@ -143,3 +144,36 @@ def test_mistakes_in_the_specification_have_a_place(tmp_path: Path) -> None:
     first, second = caught.value.lines
     assert first.startswith(f"{spec}:7:11: unknown kind of test 'unti'; did you mean 'unit'?")
     assert "unknown key 'run'; did you mean 'runs'?" in second
+
+
+class Recording:
+    """A module's functions, with what two of them answered."""
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module = module
+        self.answers: dict[str, list[np.ndarray]] = {}
+
+    def call(self, name: str, *arguments: object) -> object:
+        answer = getattr(self._module, name)(*arguments)
+        self.answers.setdefault(name, []).append(answer)
+        return answer
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_most_corners_are_found_again_at_half_the_size(seed: int) -> None:
+    """Of those of the large picture that the small one shows at the same place, one level lower."""
+    folder = find_assignment("front_end")
+    recording = Recording(load_assignment(folder).solution())
+    cases = load_source("front_end_cases", (folder / "cases.py").read_text(), folder / "cases.py")
+    cases.half_the_size(recording, np.random.default_rng(seed))
+    *large, small_0, small_1 = recording.answers["at_full_size"]
+    ((pairs,),) = [recording.answers["match"]]
+    level = np.repeat([0, 1, 2], [len(each) for each in large])
+    lower = np.repeat([0, 1], [len(small_0), len(small_1)])
+    here, there = np.concatenate(large), 2.0 * (np.concatenate([small_0, small_1]) + 0.5) - 0.5
+    near = np.linalg.norm(here[:, None] - there, axis=2) < 3.0
+    repeatable = (near & (level[:, None] == lower + 1)).any(axis=1)
+    right = np.zeros(len(here), dtype=bool)
+    right[pairs[near[pairs[:, 0], pairs[:, 1]], 0]] = True
+    assert repeatable.sum() > 20
+    assert right[repeatable].mean() > 0.6

@@ -106,6 +106,51 @@ def descriptions(reference, generator):
     return [Case(described(generator)) for _ in range(5)]
 
 
+def pictures_to_shrink(reference, generator):
+    return [Case((picture(generator), 2)) for _ in range(4)]
+
+
+def places_in_levels(reference, generator):
+    return [Case((generator.uniform(0, 100, (20, 2)), level)) for level in (1, 1, 2, 3)]
+
+
+def half_the_size(functions, generator):
+    """Corners of a picture matched with those of one half as large, as from twice as far away."""
+    rows, columns = np.mgrid[:160, :208].astype(float)
+    seed = int(generator.integers(1 << 30))
+    large, far = (
+        draw(np.random.default_rng(seed), columns, rows, 60, (208, 160))
+        + 0.005 * generator.normal(size=(160, 208))
+        for _ in range(2)
+    )
+    small = far.reshape(80, 2, 104, 2).mean(axis=(1, 3))
+    found, descriptors = [], []
+    for image, levels in ((large, 2), (small, 1)):
+        images = functions.call("pyramid", image, levels)
+        if not isinstance(images, list | tuple) or len(images) != levels:
+            raise StudentError("ValueError", f"pyramid has to return a list of {levels} images")
+        places, bits = [], []
+        for level, given in enumerate([image, *images]):
+            shape = (image.shape[0] >> level, image.shape[1] >> level)
+            smaller = as_array(given, shape, f"level {level} of pyramid")
+            response = functions.call("harris_response", smaller, 5, 0.05)
+            xy, strength = maxima(as_array(response, shape, "the Harris response"))
+            count = min(KEPT >> level, len(xy))
+            kept = as_array(
+                functions.call("suppress", xy, strength, count, 0.9), (count,), "the answer of suppress"
+            )
+            xy = xy[kept.astype(int)]
+            there = functions.call("at_full_size", xy, level)
+            places.append(as_array(there, (count, 2), "the answer of at_full_size"))
+            bits.append(describe(smaller, xy))
+        found.append(np.concatenate(places))
+        descriptors.append(np.concatenate(bits))
+    pairs = np.asarray(functions.call("match", *descriptors, 0.8)).astype(int).reshape(-1, 2)
+    expected = 2.0 * (found[1][pairs[:, 1]] + 0.5) - 0.5
+    off = np.linalg.norm(found[0][pairs[:, 0]] - expected, axis=1)
+    return np.concatenate([np.ravel(found[0]), np.ravel(found[1]), [len(pairs), (off < 3.0).sum()]])
+
+
 def moved(generator):
     """Pose of the second camera in the first one's frame, and the true F."""
     T = exp(np.concatenate([generator.normal(size=3) * 0.04, np.zeros(3)]))

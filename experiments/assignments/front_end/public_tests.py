@@ -2,10 +2,12 @@
 
 import numpy as np
 from front_end import (
+    at_full_size,
     fundamental_least_squares,
     harris_response,
     mahalanobis_test,
     match,
+    pyramid,
     ransac_fundamental,
     samples_needed,
     sampson_distance,
@@ -41,6 +43,21 @@ def test_match():
     np.testing.assert_array_equal(match(one, two, 0.8), [[0, 1], [1, 0]])
     # 1 of 4 bits is too much for a ratio of 0.2, 0 of 2 bits never is.
     np.testing.assert_array_equal(match(one, two, 0.2), [[1, 0]])
+
+
+def test_pyramid():
+    image = np.array([[0.0, 2.0, 4.0, 4.0, 9.0], [2.0, 4.0, 0.0, 4.0, 9.0], [9.0, 9.0, 9.0, 9.0, 9.0]])
+    half, quarter = pyramid(np.kron(image, np.ones((2, 2))), 2)
+    np.testing.assert_allclose(half, image)
+    # Means of two squares; the odd row and column are left out.
+    np.testing.assert_allclose(quarter, [[2.0, 3.0]])
+
+
+def test_at_full_size():
+    # Pixel 0 of the half is pixels 0 and 1 of the picture, its middle at 0.5.
+    # Pixel 3 of the quarter is 12 to 15.
+    np.testing.assert_allclose(at_full_size(np.array([[0.0, 1.0]]), 1), [[0.5, 2.5]])
+    np.testing.assert_allclose(at_full_size(np.array([[3.0, 0.0]]), 2), [[13.5, 1.5]])
 
 
 def sideways(count):

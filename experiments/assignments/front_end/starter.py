@@ -67,6 +67,38 @@ def match(descriptors1, descriptors2, ratio):
     raise NotImplementedError
 
 
+def pyramid(image, levels):
+    """Ever smaller pictures, so that corners of other sizes are found.
+
+    Every pixel of the next one is the mean of a square of 2 x 2 pixels of the one before; an odd last row or
+    column is left out.
+
+    Args:
+        image: level 0, the picture itself, (height, width).
+        levels: how many smaller ones.
+
+    Returns:
+        list of levels 1, 2, …: (height // 2, width // 2), half of that, and so on.
+    """
+    raise NotImplementedError
+
+
+def at_full_size(xy, level):
+    """Where pixels of a pyramid's image lie in the picture itself.
+
+    The middle of a pixel has whole coordinates: pixel (0, 0) of level 1 covers pixels 0 and 1 of the picture
+    in both directions, and its middle lies between them.
+
+    Args:
+        xy: pixels in the image of that level, (m, 2).
+        level: 0 is the picture, 1 its half, 2 its quarter.
+
+    Returns:
+        pixels in the picture, (m, 2).
+    """
+    raise NotImplementedError
+
+
 def fundamental_least_squares(first, second):
     """F with x2ᵀ F x1 = 0 from all matches: the normalised eight-point algorithm.
 

@@ -1,4 +1,4 @@
-"""A front end: Harris, adaptive non-maximal suppression, matching, RANSAC, the Mahalanobis test.
+"""A front end: Harris, adaptive non-maximal suppression, matching, a pyramid, RANSAC, the Mahalanobis test.
 
 Harris and Stephens 1988; Brown, Szeliski and Winder 2005, sec. 3; Lowe 2004, sec. 7.1; Hartley and Zisserman
 2004, algorithms 11.1 and 4.6, eq. 11.9 and 4.18.
@@ -38,6 +38,21 @@ def match(descriptors1, descriptors2, ratio):
     clear = closest < ratio * second
     kept = np.flatnonzero(mutual & clear)
     return np.stack([kept, best[kept]], axis=1)
+
+
+def pyramid(image, levels):
+    """Ever smaller pictures, each half as wide and high as the one before."""
+    images = []
+    for _ in range(levels):
+        even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
+        image = (even[0::2, 0::2] + even[1::2, 0::2] + even[0::2, 1::2] + even[1::2, 1::2]) / 4
+        images.append(image)
+    return images
+
+
+def at_full_size(xy, level):
+    """Where in the picture pixels of a level are: the middles of pixels have whole coordinates."""
+    return (xy + 0.5) * 2.0**level - 0.5
 
 
 def fundamental_least_squares(first, second):
