@@ -16,6 +16,7 @@ X           the same by the odometry through the mounting, (4, 4), in metres
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -65,7 +66,7 @@ class TravelCheck:
         self._steps: list[_Step] = []
         self._seen = 0
         self._first: tuple[Features, FloatArray | None] | None = None
-        self._since = np.eye(4), np.zeros((6, 6))
+        self._since: list[tuple[FloatArray, FloatArray]] = []
 
     def look(
         self, features: Features, depth_m: FloatArray | None, increment: tuple[FloatArray, FloatArray]
@@ -76,9 +77,9 @@ class TravelCheck:
         turn = self._seen % _EVERY
         self._seen += 1
         if turn == 0:
-            self._first, self._since = (features, depth_m), (np.eye(4), np.zeros((6, 6)))
+            self._first, self._since = (features, depth_m), []
         elif turn <= _APART and self._first is not None:
-            self._since = compose_increments(self._since, increment)
+            self._since.append(increment)
             if turn == _APART:
                 self._compare(*self._first, features)
                 self._first = None
@@ -109,7 +110,7 @@ class TravelCheck:
 
     def _compare(self, first: Features, depth_m: FloatArray | None, second: Features) -> None:
         """Keep the step between two images if they tell its direction."""
-        T, Q = self._since
+        T, Q = reduce(compose_increments, self._since)
         X = _of_camera(T, self._camera.T_body_camera)
         length = float(np.linalg.norm(X[:3, 3]))
         if length <= _SIGMAS * float(np.sqrt(np.trace(Q[3:, 3:]))):
