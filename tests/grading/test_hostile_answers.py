@@ -10,15 +10,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from slamcmp.errors import UsageError
 from slamcmp.grading.assignment.description import Assignment, LimitFields, TestSpec, load_assignment
 from slamcmp.grading.results.outcome import load_outcome
 from slamcmp.grading.run.grade_process import GradeProcess, GradeRequest
+from slamcmp.grading.run.implementations import compact
 from slamcmp.grading.run.judge import Judged, without_points
 from slamcmp.grading.run.judging_process import Apart
-from slamcmp.grading.sandbox.errors import SandboxUnavailable
+from slamcmp.grading.sandbox.errors import SandboxUnavailable, StudentError
 from tests.grading import toy_assignment
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
@@ -211,3 +213,19 @@ def graded(place: Path, source: str) -> tuple[float, str]:
     # Of any process of the grading, the submission's own among them [KiB].
     assert usage.ru_maxrss < 400 << 10
     return first.score, first.message
+
+
+def test_long_lists_become_arrays_and_outputs_stay_apart() -> None:
+    rows = [[1.0, 2.0]] * 1500
+    means, covariances = compact("f", (rows, [[[0.5]]] * 60))
+    assert (type(means), means.shape, covariances.shape) == (np.ndarray, (1500, 2), (60, 1, 1))
+    assert compact("f", [[1, 2], [3.0, "x"], None]) == [[1, 2], [3.0, "x"], None]
+    ragged = [[1.0], [1.0, 2.0]] * 30
+    assert compact("f", ragged) == ragged
+    assert compact("f", list(range(60))).dtype.kind == "i"
+
+
+@pytest.mark.parametrize("answer", [dict.fromkeys(map(str, range(6000)), 1), [[[0.0, "x"]] * 2] * 1500])
+def test_an_answer_of_very_many_parts_is_refused(answer: object) -> None:
+    with pytest.raises(StudentError, match="f answers with more than 5000 parts outside of arrays"):
+        compact("f", answer)
