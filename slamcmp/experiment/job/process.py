@@ -21,7 +21,7 @@ from slamcmp.experiment.job.task import Task
 from slamcmp.support.process_tree import end_children, lead_group
 from slamcmp.support.shared_arrays import SharedArrays
 
-OF_A_PROCESS = frozenset({errno.EBADF, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EFBIG})
+OF_A_PROCESS = frozenset({errno.EBADF, errno.EMFILE, errno.ENFILE, errno.ENOMEM})
 """Errors of descriptors and limits that a process, or the plug-in in it, has set itself."""
 OUTDATED, LOST_STREAM, STORAGE_FAILED = 1, 2, 3
 """Why there is no result, if it is not the back end's doing."""
