@@ -23,6 +23,8 @@ from slamcmp.registry import (
 if TYPE_CHECKING:
     from slamcmp.registry import Plugin
 
+FILES = ("experiments", "assignments")
+"""What is shipped as files and not registered."""
 KINDS = {
     "sources": sources,
     "front-ends": front_ends,
@@ -43,27 +45,27 @@ def add_commands(app: typer.Typer) -> None:
 
 def list_plugins(
     kind: Annotated[
-        str | None, typer.Argument(help=f"One of {', '.join(KINDS)}, experiments; default: all.")
+        str | None, typer.Argument(help=f"One of {', '.join((*KINDS, *FILES))}; default: all.")
     ] = None,
     name: Annotated[
-        str | None, typer.Argument(help="A plug-in, to see its parameters, or an experiment.")
+        str | None,
+        typer.Argument(help="A plug-in, to see its parameters; an experiment or assignment, to read it."),
     ] = None,
 ) -> None:
     """List what experiments can be made of, or the parameters of one plug-in."""
-    if kind is not None and kind not in (*KINDS, "experiments"):
-        raise UsageError(f"unknown kind {kind!r}{did_you_mean(kind, [*KINDS, 'experiments'])}")
+    if kind is not None and kind not in (*KINDS, *FILES):
+        raise UsageError(f"unknown kind {kind!r}{did_you_mean(kind, [*KINDS, *FILES])}")
     if name is not None and kind in KINDS:
         _print_parameters(KINDS[kind].get(name))
         return
     if name is not None:
-        _print_experiment(name)
+        (_print_assignment if kind == "assignments" else _print_experiment)(name)
         return
-    for each in (*KINDS, "experiments") if kind is None else (kind,):
+    shipped = {"experiments": _experiments, "assignments": _assignments}
+    for each in (*KINDS, *FILES) if kind is None else (kind,):
         if kind is None:
             print(f"{each}:")
-        _print_pairs(
-            _experiments() if each == "experiments" else _summaries(each), "  " if kind is None else ""
-        )
+        _print_pairs(shipped[each]() if each in shipped else _summaries(each), "  " if kind is None else "")
 
 
 def schema() -> None:
@@ -96,6 +98,23 @@ def _experiments() -> list[tuple[str, str]]:
     return [
         (name, str(load_yaml(path).data.get("question", ""))) for name, path in shipped_experiments().items()
     ]
+
+
+def _assignments() -> list[tuple[str, str]]:
+    from slamcmp.grading.assignment.handout import handouts
+
+    return [(name, each.title) for name, each in handouts().items()]
+
+
+def _print_assignment(name: str) -> None:
+    """Its handout.
+
+    Raises:
+        MissingDataError: there is no assignment of that name.
+    """
+    from slamcmp.grading.assignment.handout import find_handout
+
+    print((find_handout(name).folder / "README.md").read_text(encoding="utf-8"), end="")
 
 
 def _print_experiment(name: str) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from slamcmp.backends.window.sliding_window import SlidingWindow
-from slamcmp.grading.assignment.description import SHIPPED, find_assignment, load_assignment, load_source
+from slamcmp.grading.assignment.description import find_assignment, load_assignment, load_source
+from slamcmp.grading.assignment.handout import SHIPPED
 from slamcmp.grading.run.grader import Grading
 from slamcmp.grading.run.publish import InProcess, check_publishable
 from slamcmp.support.config_errors import ConfigError

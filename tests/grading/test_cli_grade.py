@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from slamcmp.cli import app
 from slamcmp.errors import MissingDataError, UsageError
-from slamcmp.grading.assignment.description import SHIPPED
+from slamcmp.grading.assignment.handout import SHIPPED
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")
 STARTER = str(SHIPPED / "kalman_filter" / "starter.py")

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import MissingDataError, UsageError
-from slamcmp.grading.assignment.description import SHIPPED, find_assignment, load_assignment
+from slamcmp.grading.assignment.description import find_assignment, load_assignment
+from slamcmp.grading.assignment.handout import SHIPPED
 from slamcmp.grading.assignment.public_tests import run_public_tests
 
 NAMES = sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml"))

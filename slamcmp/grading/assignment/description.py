@@ -14,21 +14,25 @@ import sys
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slamcmp.errors import MissingDataError, UsageError
+from slamcmp.grading.assignment.handout import (
+    SHIPPED,
+    SPECIFICATION,
+    handouts,
+    staff_folder,
+    staff_missing,
+)
 from slamcmp.grading.results.outcome import Visibility
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.registry import Plugin, did_you_mean, test_kinds
 from slamcmp.support.config_errors import ConfigErrors
 from slamcmp.support.plugin_models import bind_parameters, parameter_model
-from slamcmp.support.shipped_files import shipped_folder
 from slamcmp.support.yaml_source import KeyPath, YamlSource, load_yaml
-
-SHIPPED = shipped_folder() / "assignments"
 
 
 class LimitFields(BaseModel):
@@ -168,17 +172,20 @@ class Assignment:
 
 
 def find_assignment(name: str | Path) -> Path:
-    """The folder of an assignment: a path, or the name of a shipped one.
+    """The folder of an assignment: a path, or the name of one of the staff's or a shipped one.
 
     Raises:
-        MissingDataError: there is neither; the message lists the shipped ones.
+        MissingDataError: there is none, or only its students' part.
     """
-    for folder in (Path(name), SHIPPED / name):
-        if (folder / "assignment.yaml").is_file():
+    staff = staff_folder()
+    for folder in (Path(name), *([] if staff is None else [staff / name]), SHIPPED / name):
+        if (folder / SPECIFICATION).is_file():
             return folder.resolve()
-    shipped = [path.parent.name for path in SHIPPED.glob("*/assignment.yaml")]
+    known = handouts()
+    if str(name) in known:
+        raise MissingDataError(staff_missing(f"assignment {str(name)!r}"))
     raise MissingDataError(
-        f"assignment {str(name)!r}: there is no {name}/assignment.yaml{did_you_mean(str(name), shipped)}"
+        f"assignment {str(name)!r}: there is no {name}/{SPECIFICATION}{did_you_mean(str(name), known)}"
     )
 
 
@@ -191,7 +198,7 @@ def load_assignment(folder: Path) -> Assignment:
         UsageError: the solution does not fit the assignment.
     """
     folder = find_assignment(folder)
-    source = load_yaml(folder / "assignment.yaml")
+    source = load_yaml(folder / SPECIFICATION)
     fields, tests = _checked_tests(source)
     solution_path = folder / "solution" / "solution.py"
     for path in (solution_path, folder / "cases.py"):
@@ -214,10 +221,16 @@ def load_source(name: str, source: str, path: Path) -> ModuleType:
     # Dataclasses look their module up by its name.
     sys.modules[name] = module
     try:
-        exec(compile(source, str(path), "exec"), module.__dict__)
+        exec(_compiled(source, str(path)), module.__dict__)
     except Exception as error:
         raise UsageError(f"{path}: does not import: {error!r}") from error
     return module
+
+
+@functools.lru_cache(maxsize=256)
+def _compiled(source: str, path: str) -> CodeType:
+    """A mutant is started anew for every test that it may explain."""
+    return compile(source, path, "exec")
 
 
 def _checked_tests(source: YamlSource) -> tuple[AssignmentFields, tuple[TestSpec, ...]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import sys
 import traceback
@@ -12,6 +11,7 @@ from pathlib import Path
 
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.conformance.check import Finding
+from slamcmp.grading.assignment.handout import imported_modules
 
 PUBLIC = "public_tests.py"
 
@@ -34,7 +34,7 @@ def run_public_tests(entry: Path) -> list[Finding]:
             f"back end, {entry}:NAME"
         )
     source = tests.read_text(encoding="utf-8")
-    wanted = _imported(source) - {"numpy", "slamcmp"}
+    wanted = imported_modules(source) - {"numpy", "slamcmp"}
     if entry.stem not in wanted:
         # They would test that file, and this one would get the praise.
         what = " or ".join(f"{name}.py" for name in sorted(wanted))
@@ -52,14 +52,6 @@ def run_public_tests(entry: Path) -> list[Finding]:
             if name.startswith("test_") and callable(test):
                 findings.append(_run(name.removeprefix("test_"), test, tests))
     return findings
-
-
-def _imported(source: str) -> set[str]:
-    """Modules that a source imports from, without the packages' parts."""
-    nodes = list(ast.walk(ast.parse(source)))
-    names = [node.module for node in nodes if isinstance(node, ast.ImportFrom) and node.module]
-    names += [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-    return {name.partition(".")[0] for name in names}
 
 
 def _run(title: str, test: Callable[[], object], tests: Path) -> Finding:
