@@ -215,7 +215,7 @@ def put_together(functions, generator):
     Lam, eta = functions.call("construct", some, *functions.call("points", some, "fej"))
     poses, landmarks = functions.call("solve", some, Lam, eta)
     kept, _ = functions.call("schur", np.asarray(Lam), np.asarray(eta), np.arange(3, 6))
-    return np.concatenate([np.ravel(part) for part in (poses, landmarks, np.linalg.inv(kept))])
+    return [poses, landmarks, np.linalg.inv(kept)]
 
 
 def free(generator, **sizes):
@@ -470,8 +470,8 @@ def dial(functions, generator):
             answer = functions.step(handle, frame, landmarks=True)
             order = np.argsort(answer.landmarks.ids)
             parts = (answer.landmarks.positions[order], answer.landmarks.covariances[order])
-            rows += [np.ravel(part) for part in (answer.estimate.T_world_body, answer.estimate.P, *parts)]
-    return np.concatenate(rows)
+            rows += [answer.estimate.T_world_body, answer.estimate.P, *parts]
+    return rows
 
 
 def drive(functions, generator):
