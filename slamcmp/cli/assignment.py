@@ -14,6 +14,7 @@ def add_commands(app: typer.Typer) -> None:
     staff = typer.Typer(
         name="assignment",
         help="For staff: write an assignment, and try it before students do.",
+        epilog="Example: slamcmp assignment export ~/course/assignments",
         no_args_is_help=True,
     )
     staff.command(epilog="Example: slamcmp assignment export ~/course/assignments")(export)
