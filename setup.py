@@ -46,6 +46,7 @@ setup(
         "slamcmp": ["py.typed"],
         "slamcmp.report": ["templates/*"],
         "slamcmp.grading.results": ["templates/*"],
+        "slamcmp.grading.assignment": ["skeleton_files/*"],
         "slamcmp.grading.run": ["bundle_files/*"],
         **{name: FOR_STUDENTS if is_assignment(Path(folder)) else KINDS for name, folder in shipped.items()},
     },

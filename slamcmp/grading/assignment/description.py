@@ -54,10 +54,10 @@ class TestFields(BaseModel):
     __test__ = False
     model_config = ConfigDict(extra="forbid")
 
-    name: str = Field(min_length=1)
-    kind: str
-    points: float = Field(gt=0)
-    visibility: Visibility = "visible"
+    name: str = Field(min_length=1, description="What students read; hidden data depend on it")
+    kind: str = Field(description="One of the kinds below")
+    points: float = Field(gt=0, description="For a test that is passed")
+    visibility: Visibility = Field("visible", description="Who sees it, and when")
     after: str | None = Field(None, description="Run only once that test has earned half of its points")
     hint: str = Field("", description="For the student, where marks are lost and no cause is recognised")
 
@@ -67,13 +67,17 @@ class AssignmentFields(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    title: str
+    title: str = Field(description="As the first line of README.md")
     entry: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\.py$", description="File to hand in")
     functions: list[str] = Field(min_length=1, description="Functions and classes that it defines")
     packages: list[str] = Field(["numpy", "scipy"], description="What it may import")
     modules: list[str] = Field(["slamcmp.models.sensors"], description="Parts of slamcmp it may import")
-    limits: LimitFields = LimitFields.model_construct()
-    tests: list[dict[str, Any]] = Field(min_length=1)
+    limits: LimitFields = Field(LimitFields.model_construct(), description="What a submission may use")
+    tests: list[dict[str, Any]] = Field(min_length=1, description="In the order in which they are run")
+
+
+MESSAGE_FIELDS = ("{yours}", "{expected}", "{call}", "{function}")
+"""What a mutant's message can tell: two numbers, the number of a call, and what was called."""
 
 
 class MutantFields(BaseModel):
@@ -81,9 +85,9 @@ class MutantFields(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    name: str
-    old: str
-    new: str
+    name: str = Field(description="For the staff")
+    old: str = Field(description="Text of the solution that stands there once")
+    new: str = Field(description="What a student with the mistake has in its place")
     message: str = Field(
         description="For the student; {yours}, {expected}, {call} and {function} are filled in"
     )
@@ -291,6 +295,8 @@ def _checked_mutants(source: YamlSource, solution: str) -> tuple[Mutant, ...]:
         if count != 1:
             what = f"stands {count} times in solution.py; a mutant replaces what stands there once"
             errors.add(("mutants", index, "old"), what)
+        if fault := _unfilled(mutant.message):
+            errors.add(("mutants", index, "message"), fault)
         mistaken = solution.replace(mutant.old, mutant.new)
         try:
             changed = changed_functions(solution, mistaken)
@@ -302,6 +308,17 @@ def _checked_mutants(source: YamlSource, solution: str) -> tuple[Mutant, ...]:
         mutants.append(Mutant(mutant.name, mistaken, mutant.message, changed))
     errors.raise_if_any()
     return tuple(mutants)
+
+
+def _unfilled(message: str) -> str:
+    """What of a message could not be filled in, or nothing."""
+    try:
+        message.format(function="predict", call=1, yours=1.0, expected=2.0)
+    except (KeyError, IndexError, AttributeError, TypeError):
+        return f"may hold {', '.join(MESSAGE_FIELDS)} in braces, and no other; write {{{{ and }}}} for braces"
+    except ValueError as error:
+        return f"is no template: {error}; write {{{{ and }}}} for braces"
+    return ""
 
 
 def changed_functions(solution: str, mutant: str) -> frozenset[str]:
