@@ -6,7 +6,6 @@ The schema stands in docs/formats.md. There is a frame for each instant at which
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,12 +15,12 @@ from annotated_types import Ge, Gt
 from slamcmp.datasets.column_files import Table, read_table
 from slamcmp.datasets.folders import find_data_file
 from slamcmp.datasets.plain_motion import read_motion
+from slamcmp.datasets.planar_log import PlanarStart, PlanarTruth, as_planar, planar_log, planar_poses_at
 from slamcmp.datasets.trajectories import MAX_GAP_S, poses_at, read_tum_trajectory
 from slamcmp.errors import DataError
-from slamcmp.geometry import se2
 from slamcmp.models.sensors import make_sensor
 from slamcmp.registry import sources
-from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
+from slamcmp.types import Detections, FloatArray, Log
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
@@ -90,22 +89,7 @@ def recording(
         sensor_name = _sensor_of(seen)
         t, per_frame = _instants(seen, detection_offset_s, motion.t, warnings)
     true = None if truth is None else _truth_at(find_data_file(truth), t, truth_offset_s, truth_max_gap_s)
-    first = np.eye(3)
-    if true is not None and start == "truth":
-        known = np.flatnonzero(np.isfinite(true[0]).all(axis=(1, 2)))
-        if not known.size:
-            raise DataError(
-                f"{truth}: knows no pose at any of the log's {t.size} frames, {t[0]:.9g} to {t[-1]:.9g} s"
-            )
-        if known[0]:
-            warnings.append(
-                f"the first {known[0]} frames, before the truth begins, are left out (start: origin keeps)"
-            )
-            t, per_frame = t[known[0] :], per_frame[known[0] :]
-            true = (true[0][known[0] :], None if true[1] is None else true[1][known[0] :])
-        first = true[0][0]
     densities = np.array([along_sigma_m_sqrt_s, across_sigma_m_sqrt_s, turn_sigma_rad_sqrt_s])
-    steps = [motion.between(a, b, densities) for a, b in pairwise(t)]
     sites = None if landmarks is None else read_table(find_data_file(landmarks))
     numbers, own_ids = _numbering(
         [] if seen is None else seen.ids or [], [] if sites is None else sites.ids or []
@@ -122,18 +106,17 @@ def recording(
         sigmas = _sigmas(seen, MEASURED[sensor_name], given)
     for table in (seen, sites):
         warnings += [] if table is None else table.warnings
-    known_truth = None
-    if true is not None:
-        known_truth = GroundTruth(t, true[0], *_sites(sites, numbers), P=true[1])
-    return Log(
+    return planar_log(
         Path(odometry).stem,
-        Problem(first, np.diag(np.square([prior_position_sigma_m] * 2 + [prior_heading_sigma_rad])), sensor),
+        motion,
+        densities,
         t,
-        np.stack([np.eye(3), *(step for step, _ in steps)]),
-        np.stack([np.zeros((3, 3)), *(Q for _, Q in steps)]),
-        tuple(_frame_of(seen, rows, MEASURED[sensor_name], sigmas, numbers) for rows in per_frame),
-        known_truth,
-        warnings=tuple(warnings),
+        [_frame_of(seen, rows, MEASURED[sensor_name], sigmas, numbers) for rows in per_frame],
+        sensor,
+        start=PlanarStart(start, prior_position_sigma_m, prior_heading_sigma_rad),
+        truth=true,
+        landmarks=_sites(sites, numbers),
+        warnings=warnings,
         own_ids=own_ids,
     )
 
@@ -172,37 +155,28 @@ def _instants(
     return times, np.split(inside[order], np.cumsum(np.bincount(place))[:-1])
 
 
-def _truth_at(
-    path: Path, t: FloatArray, offset_s: float, max_gap_s: float
-) -> tuple[FloatArray, FloatArray | None]:
-    """True poses (K, 3, 3) and, where the file has sigmas, covariances (K, 3, 3) in the body tangent."""
+def _truth_at(path: Path, t: FloatArray, offset_s: float, max_gap_s: float) -> PlanarTruth:
+    """The truth at times t (K,), with covariances where the file has sigmas."""
     if path.suffix == ".txt":
         stamps, spatial = read_tum_trajectory(path, parameter="a column t_ms, t_us or t_ns of a CSV file")
-        sigmas = None
-    else:
-        table = read_table(path)
-        if not table.has("t", "x", "y", "theta"):
-            raise DataError(f"{path}: truth has t, x, y, theta with units; found {', '.join(table.columns)}")
-        order = np.unique(table.columns["t"], return_index=True)[1]
-        stamps, x, y, theta = (table.columns[name][order] for name in ("t", "x", "y", "theta"))
-        if stamps.size < 2:
-            raise DataError(f"{path}: {stamps.size} pose(s); at least two are needed")
-        spatial = np.tile(np.eye(4), (stamps.size, 1, 1))
-        spatial[:, :2, :2] = se2(x, y, theta)[:, :2, :2]
-        spatial[:, 0, 3], spatial[:, 1, 3] = x, y
-        names = ("sigma_x", "sigma_y", "sigma_theta")
-        sigmas = (
-            np.stack([table.columns[name][order] for name in names], axis=1) if table.has(*names) else None
-        )
-    found = poses_at(t, stamps + offset_s, spatial, max_gap_s=max_gap_s)
-    poses = se2(found[:, 0, 3], found[:, 1, 3], np.arctan2(found[:, 1, 0], found[:, 0, 0]))
-    if sigmas is None:
-        return poses, None
-    at = np.stack([np.interp(t, stamps + offset_s, column) for column in sigmas.T], axis=1)
+        return PlanarTruth(as_planar(poses_at(t, stamps + offset_s, spatial, max_gap_s=max_gap_s)))
+    table = read_table(path)
+    if not table.has("t", "x", "y", "theta"):
+        raise DataError(f"{path}: truth has t, x, y, theta with units; found {', '.join(table.columns)}")
+    order = np.unique(table.columns["t"], return_index=True)[1]
+    stamps = table.columns["t"][order] + offset_s
+    if stamps.size < 2:
+        raise DataError(f"{path}: {stamps.size} pose(s); at least two are needed")
+    recorded = np.stack([table.columns[name][order] for name in ("x", "y", "theta")], axis=1)
+    poses = planar_poses_at(t, stamps, recorded, max_gap_s=max_gap_s)
+    names = ("sigma_x", "sigma_y", "sigma_theta")
+    if not table.has(*names):
+        return PlanarTruth(poses)
+    at = np.stack([np.interp(t, stamps, table.columns[name][order]) for name in names], axis=1)
     R = np.tile(np.eye(3), (t.size, 1, 1))
     R[:, :2, :2] = poses[:, :2, :2]
     # The file's x and y are the world's, the tangent's are the body's.
-    return poses, np.swapaxes(R, 1, 2) @ (at[:, :, None] ** 2 * np.eye(3)) @ R
+    return PlanarTruth(poses, np.swapaxes(R, 1, 2) @ (at[:, :, None] ** 2 * np.eye(3)) @ R)
 
 
 def _numbering(*names: list[int | None]) -> tuple[dict[int, int], Any]:
