@@ -186,6 +186,7 @@ def test_a_depth_becomes_the_disparity_of_a_virtual_pair() -> None:
 
     class At:
         xy = np.array([[100.0, 80.0], [200.0, 100.0]])
+        factor = None
 
     depth = np.zeros((240, 320), np.float32)
     depth[:, :150] = 4.0

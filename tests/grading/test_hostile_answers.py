@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +17,6 @@ import pytest
 from slamcmp.errors import UsageError
 from slamcmp.grading.assignment.description import Assignment, LimitFields, TestSpec, load_assignment
 from slamcmp.grading.results.outcome import load_outcome
-from slamcmp.grading.run.grade_process import GradeProcess, GradeRequest
 from slamcmp.grading.run.implementations import compact
 from slamcmp.grading.run.judge import Judged, without_points
 from slamcmp.grading.run.judging_process import Apart
@@ -187,6 +187,29 @@ def test_an_answer_above_the_limit_ends_its_test(staging_area: Path) -> None:
     assert "what is no answer: announces" in message
 
 
+GRADE = """
+import os, sys
+from pathlib import Path
+from slamcmp.grading.run.grade_process import GradeProcess, GradeRequest
+
+assignment, submission, outcome, log = sys.argv[1:]
+request = GradeRequest(
+    assignment=assignment,
+    submission=submission,
+    student="ada",
+    secret=b"a secret of the tests".hex(),
+    outcome=outcome,
+    accept_weak_sandbox=True,
+)
+process = GradeProcess(request, time_limit_s=60, log=Path(log))
+_, status, usage = os.wait4(process._process.pid, 0)
+process._process.returncode = os.waitstatus_to_exitcode(status)
+process.kill()
+print(usage.ru_maxrss)
+sys.exit(1 if status else 0)
+"""
+
+
 def graded(place: Path, source: str) -> tuple[float, str]:
     """Score and message of the toy's first test; the others have to be right, and no process large."""
     spec = toy_assignment.write(place) / "assignment.yaml"
@@ -194,24 +217,16 @@ def graded(place: Path, source: str) -> tuple[float, str]:
     spec.write_text(spec.read_text().replace("request_s: 2", "request_s: 30"))
     (place / "toy.py").write_text(source)
     outcome, log = place / "outcome.json", place / "log"
-    request = GradeRequest(
-        assignment=str(place / "toy"),
-        submission=str(place / "toy.py"),
-        student="ada",
-        secret=b"a secret of the tests".hex(),
-        outcome=str(outcome),
-        accept_weak_sandbox=True,
-    )
-    process = GradeProcess(request, time_limit_s=60, log=log)
-    _, status, usage = os.wait4(process._process.pid, 0)
-    process._process.returncode = os.waitstatus_to_exitcode(status)
-    process.kill()
-    assert status == 0, log.read_text()
+    asked = [str(place / "toy"), str(place / "toy.py"), str(outcome), str(log)]
+    # From a small process of its own: Linux counts what the parent had at the fork as its child's, and this
+    # one may have run hundreds of tests.
+    told = subprocess.run([sys.executable, "-c", GRADE, *asked], capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr + (log.read_text() if log.exists() else "")
     first, *others = load_outcome(outcome).tests
     assert [test.score for test in others] == [10.0, 10.0]
     assert len(first.message) < 5000
     # Of any process of the grading, the submission's own among them [KiB].
-    assert usage.ru_maxrss < 400 << 10
+    assert int(told.stdout) < 400 << 10
     return first.score, first.message
 
 
