@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,13 @@ class Bench:
 
 
 def make_world(settings: Mapping[str, Any], seed: int) -> tuple[MeasurementStream, GroundTruth]:
-    """A stream of a circling robot, and its truth."""
+    """A stream of a circling robot, and its truth; made once in a process, for nobody can change it."""
+    return _world(tuple(sorted(settings.items())), seed)
+
+
+@lru_cache(maxsize=256)
+def _world(ordered: tuple[tuple[str, Any], ...], seed: int) -> tuple[MeasurementStream, GroundTruth]:
+    settings = dict(ordered)
     log = sources.get("circle").target(seed, **settings)
     stream: MeasurementStream = front_ends.get("labelled").target(log, seed)
     # Names that are no indices, a frame without sight, and a landmark that comes late: what real logs do.

@@ -23,7 +23,10 @@ def victoria_stream(sensor: str, steps: int | None = None) -> MeasurementStream:
     return labelled(victoria_park(sensor=sensor, steps=steps), 0, gate_probability=None)
 
 
-@pytest.mark.parametrize(("sensor", "half_chi2"), [("range_bearing", 3173.5), ("relative_position", 3091.97)])
+@pytest.mark.parametrize(
+    ("sensor", "half_chi2"),
+    [("range_bearing", 3173.5), pytest.param("relative_position", 3091.97, marks=pytest.mark.slow)],
+)
 def test_victoria_park_optimum(sensor: str, half_chi2: float) -> None:
     """Whole log, 6969 poses, from the incremental warm start (values: FACTS P6, independent solvers)."""
     stream = victoria_stream(sensor)
