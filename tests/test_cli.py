@@ -172,7 +172,7 @@ def test_dry_run_writes_nothing(tmp_path: Path) -> None:
 
 def test_ctrl_c_keeps_what_is_done_and_the_next_run_completes_it(tmp_path: Path) -> None:
     path = write(tmp_path, "DeadReckoning", "seeds: 5\n")
-    path.write_text(path.read_text().replace("DeadReckoning'}", "DeadReckoning', pause_s: 0.01}"))
+    path.write_text(path.read_text().replace("DeadReckoning'}", "DeadReckoning', pause_s: 0.004}"))
     arguments = slamcmp_command("run", "mine.yaml", "--jobs", "1", "--no-report")
     process = subprocess.Popen(
         arguments,

@@ -28,14 +28,13 @@ def handed_out(folder: Path, name: str, source: str) -> Path:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_solution_passes_and_the_starter_is_not_implemented(name: str, tmp_path: Path) -> None:
+def test_the_starter_is_not_implemented(name: str, tmp_path: Path) -> None:
+    """That the solution passes them all is the gate's to say (test_assignments.py)."""
     assignment = load_assignment(find_assignment(name))
-    findings = run_public_tests(handed_out(tmp_path, name, assignment.solution_source))
-    assert len(findings) >= 4
-    assert all(finding.passed for finding in findings), findings
     starter = (assignment.folder / "starter.py").read_text()
     imported, *findings = run_public_tests(handed_out(tmp_path, name, starter))
     assert imported.passed
+    assert len(findings) >= 3
     assert {finding.message for finding in findings} == {"not implemented yet"}
 
 
