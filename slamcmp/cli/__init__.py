@@ -13,7 +13,20 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp.cli import assignment, check, data, frontend, grade, grade_all, results, run, seeds, show, stream
+from slamcmp.cli import (
+    assignment,
+    check,
+    data,
+    frontend,
+    grade,
+    grade_all,
+    regrade,
+    results,
+    run,
+    seeds,
+    show,
+    stream,
+)
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.support.messages import printable, told
 
@@ -26,7 +39,20 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 # In the order of --help.
-for _commands in (run, check, seeds, results, show, stream, data, frontend, assignment, grade, grade_all):
+for _commands in (
+    run,
+    check,
+    seeds,
+    results,
+    show,
+    stream,
+    data,
+    frontend,
+    assignment,
+    grade,
+    grade_all,
+    regrade,
+):
     _commands.add_commands(app)
 
 _debug = False

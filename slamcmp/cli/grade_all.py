@@ -190,6 +190,7 @@ def _print(result: ClassResult) -> None:
         if row.ended not in ("ok", "pending"):
             console.print(f"grader {row.ended}: {row.student}", soft_wrap=True)
     console.print(f"gradebook: {result.folder / 'gradebook.csv'}", soft_wrap=True)
+    console.print(f"the class: {result.folder / 'class.html'}", soft_wrap=True)
 
 
 def _counted(count: int, name: str) -> str:

@@ -58,7 +58,8 @@ def summarise(rows: Sequence[GradebookRow]) -> ClassSummary:
     """
     outcomes = [row.outcome for row in rows if row.outcome is not None]
     possible = max((total(outcome.tests, of="max_score") for outcome in outcomes), default=0.0)
-    scores = [100.0 * total(outcome.tests) / possible for outcome in outcomes] if possible else []
+    graded = [row for row in rows if row.outcome is not None]
+    scores = [100.0 * row.final / possible for row in graded] if possible else []
     histogram = [0] * BINS
     for score in scores:
         histogram[min(BINS - 1, max(0, int(score * BINS / 100.0)))] += 1
@@ -93,7 +94,7 @@ def _failures(rows: Sequence[GradebookRow]) -> tuple[Failure, ...]:
             possible[name] += test.max_score
             if test.score < test.max_score or (test.max_score == 0 and test.status != "passed"):
                 counts[name] += 1
-                messages.setdefault(name, Counter())[_pattern(test.message)] += 1
+                messages.setdefault(name, Counter())[pattern(test.message)] += 1
     failures = []
     for name, count in counts.most_common(FAILURES_SHOWN):
         message, times = messages[name].most_common(1)[0]
@@ -102,7 +103,7 @@ def _failures(rows: Sequence[GradebookRow]) -> tuple[Failure, ...]:
     return tuple(failures)
 
 
-def _pattern(message: str) -> str:
+def pattern(message: str) -> str:
     """Messages that differ in their numbers only are one failure."""
     first = clean(message).strip().split("\n", 1)[0][:160]
     return re.sub(r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", "#", first)

@@ -30,6 +30,14 @@ class GradebookRow:
     ended: str
     """``ok``, ``crashed`` or ``timed_out`` (of the grader, not the submission), ``pending``."""
     outcome: GradeOutcome | None
+    deducted_percent: float | None = None
+    """Of the points earned, for late hand-ins and attempts (rules.py); None: there are no such rules."""
+
+    @property
+    def final(self) -> float:
+        """Points after the deduction."""
+        earned = 0.0 if self.outcome is None else total(self.outcome.tests)
+        return rounded(earned * (1.0 - (self.deducted_percent or 0.0) / 100.0))
 
 
 def gradebook_csv(rows: Sequence[GradebookRow]) -> str:
@@ -40,18 +48,27 @@ def gradebook_csv(rows: Sequence[GradebookRow]) -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
     header = ["student", "score", "max_score", "graded", "submission", "sandbox", "notes"]
+    by_rules = any(row.deducted_percent is not None for row in rows)
+    if by_rules:
+        header += ["earned", "deducted_percent"]
     writer.writerow([safe_cell(text) for text in [*header, *(f"{number} {name}" for number, name in tests)]])
     for row in rows:
         outcome = row.outcome
         cells: list[str | float] = [row.student, "", "", row.ended, row.submission, "", ""]
+        off: list[str | float] = ["", row.deducted_percent or 0.0] if by_rules else []
         if outcome is not None:
             graded = row.ended if outcome.complete or row.ended != "ok" else "incomplete"
             if missed := [test.number for test in outcome.tests if not test.judged]:
                 graded += f"; look at test {', '.join(missed)}: the grader failed there"
             notes = " | ".join(outcome.notes)
             found = {(test.number, test.name): rounded(test.score) for test in outcome.tests}
-            cells[1:] = [total(outcome.tests), total(outcome.tests, of="max_score"), graded]
-            cells += [row.submission, outcome.sandbox_level, notes, *(found.get(test, "") for test in tests)]
+            cells[1:] = [row.final, total(outcome.tests, of="max_score"), graded]
+            cells += [row.submission, outcome.sandbox_level, notes]
+            if by_rules:
+                off[0] = total(outcome.tests)
+            cells += [*off, *(found.get(test, "") for test in tests)]
+        else:
+            cells += [*off, *([""] * len(tests))]
         writer.writerow([cell if isinstance(cell, float) else safe_cell(cell) for cell in cells])
     return buffer.getvalue()
 
@@ -77,6 +94,11 @@ def write_folders(folders: Mapping[str, str], path: Path) -> None:
     writer = csv.writer(buffer, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
     writer.writerows([("student", "folder"), *((safe_cell(name), place) for name, place in folders.items())])
     write_atomically(path, lambda file: file.write(buffer.getvalue().encode("utf-8-sig")))
+
+
+def from_safe_cell(cell: str) -> str:
+    """The text of a cell that :func:`safe_cell` wrote, but for blanks and control characters."""
+    return cell[1:] if cell.startswith("'") and cell[1:].lstrip().startswith(_FORMULA) else cell
 
 
 def safe_cell(text: str) -> str:

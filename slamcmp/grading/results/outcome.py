@@ -64,6 +64,8 @@ class TestOutcome:
     plots: tuple[Plot, ...] = ()
     judged: bool = True
     """False: the grader itself failed at this test, and the staff has to look at it."""
+    causes: tuple[str, ...] | None = None
+    """The likely causes named, with which the message begins; None: nobody looked for them."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,11 @@ def test_of(content: dict[str, Any]) -> TestOutcome:
     Raises:
         KeyError, TypeError: these are no fields of a test.
     """
-    return TestOutcome(**{**content, "plots": tuple(_plot(plot) for plot in content["plots"])})
+    plots = tuple(_plot(plot) for plot in content["plots"])
+    causes = content.get("causes")
+    return TestOutcome(
+        **{**content, "plots": plots, "causes": None if causes is None else tuple(map(str, causes))}
+    )
 
 
 def _plot(content: dict[str, Any]) -> Plot:

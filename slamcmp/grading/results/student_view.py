@@ -36,7 +36,13 @@ def without_staff_detail(test: TestOutcome) -> TestOutcome:
     """The test as its student may see it; a hidden one keeps nothing but its points."""
     if test.visibility == "hidden":
         return replace(
-            test, name=f"Hidden test {test.number}", kind="", message="", staff_detail="", plots=()
+            test,
+            name=f"Hidden test {test.number}",
+            kind="",
+            message="",
+            staff_detail="",
+            plots=(),
+            causes=None,
         )
     return replace(test, staff_detail="")
 

@@ -1,8 +1,8 @@
 """Grade a folder of submissions: side by side, each on its own, going on where an earlier run stopped.
 
-In the results folder: ``gradebook.csv``, written again after each grading, ``summary.json``, and for each
-student ``students/NAME-…/`` with ``outcome.json``, ``feedback.html`` (for the student), ``staff.html``,
-``grader.log`` and ``done.json``, which says what the outcome was computed from.
+In the results folder: ``gradebook.csv``, written again after each grading, ``summary.json``, ``class.html``
+(for the staff), and for each student ``students/NAME-…/`` with ``outcome.json``, ``feedback.html`` (for the
+student), ``staff.html``, ``grader.log`` and ``done.json``, which says what the outcome was computed from.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from slamcmp.grading.hand_in.class_folder import (
     digest_of_submission,
     find_submissions,
 )
+from slamcmp.grading.results.class_page import write_class_page
 from slamcmp.grading.results.class_summary import ClassSummary, summarise
 from slamcmp.grading.results.gradebook import GradebookRow, write_folders, write_gradebook
 from slamcmp.grading.results.outcome import load_outcome
@@ -128,6 +129,7 @@ def run_class(
         summary = summarise(list(rows.values()))
         text = json.dumps({**summary.as_dict(), "left_out": found.left_out}, indent=1) + "\n"
         write_atomically(folder / "summary.json", lambda file: file.write(text.encode()))
+        write_class_page(list(rows.values()), folder / "class.html")
         return ClassResult(
             folder,
             tuple(rows.values()),

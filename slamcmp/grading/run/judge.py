@@ -181,7 +181,9 @@ class Judge:
         hint = [spec.fields.hint] if spec.fields.hint and not causes else []
         message = "\n".join([*causes, test.message, *hint])
         seconds = test.seconds + time.monotonic() - started
-        test = replace(test, message=message, staff_detail=detail.strip(), seconds=seconds)
+        test = replace(
+            test, message=message, staff_detail=detail.strip(), seconds=seconds, causes=tuple(causes)
+        )
         return replace(judged, test=test, explained=True)
 
     def _told(self, test: TestOutcome, rank: Rank = (), *, explained: bool = True) -> Judged:
