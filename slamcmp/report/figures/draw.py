@@ -107,13 +107,13 @@ def draw_figure(results: Results, name: str) -> Figure:
 
 
 def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterator[Drawn]:
-    """Draw one figure after the other, in reading order.
+    """Draw one figure after the other, in reading order; without names all but those of trait ``on_request``.
 
     Raises:
         UsageError: a name is not a registered figure.
     """
     if names is None:
-        known = figures.names()
+        known = [name for name in figures.names() if not figures.get(name).traits.get("on_request", False)]
         names = [name for name in ORDER if name in known] + [name for name in known if name not in ORDER]
     missing, results = missing_runs(results), comparable(results)
     for plugin in [figures.get(name) for name in names]:

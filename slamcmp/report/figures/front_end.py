@@ -67,11 +67,11 @@ def draw_front_end(
     folder.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(RC):
         figures = {
-            "harris_corners": _corner_figure(names, images, features, suppressed=False),
-            "after_suppression": _corner_figure(names, images, features, suppressed=True),
+            "harris_corners": corner_figure(names, images, features, suppressed=False),
+            "after_suppression": corner_figure(names, images, features, suppressed=True),
         }
         if pairs:
-            figures["matches"] = _match_figure(names, images, pairs)
+            figures["matches"] = match_figure(names, images, pairs)
         files = []
         for name, figure in figures.items():
             for kind in formats:
@@ -107,9 +107,10 @@ def front_end_tables(
     return per_image, per_pair
 
 
-def _corner_figure(
+def corner_figure(
     names: Sequence[str], images: Sequence[Image], features: Sequence[Features], *, suppressed: bool
 ) -> Figure:
+    """Corners before or after suppression, an image a panel."""
     title = "Corners after adaptive suppression" if suppressed else "Harris corners"
     columns = min(len(images), 2)
     figure, grid = _grid(title, images, columns)
@@ -129,7 +130,8 @@ def _corner_figure(
     return figure
 
 
-def _match_figure(names: Sequence[str], images: Sequence[Image], pairs: Sequence[PairMatches]) -> Figure:
+def match_figure(names: Sequence[str], images: Sequence[Image], pairs: Sequence[PairMatches]) -> Figure:
+    """Matches of neighbouring images, a pair a panel: what was kept and what was rejected."""
     canvases = [_side_by_side(images[i], images[i + 1]) for i in range(len(pairs))]
     figure, grid = _grid("Matches kept and rejected", canvases, 1)
     for i, (axes, canvas, pair) in enumerate(zip(grid, canvases, pairs, strict=False)):

@@ -6,7 +6,7 @@ hold them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,14 +24,13 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.job.task import stream_path
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.models.camera import Camera, StereoCamera
-from slamcmp.registry import figures, front_ends, sources
+from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.report.figures.drawable import NotDrawable, typical_trial
-from slamcmp.results.grid import swept_columns, trial_name
+from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.report.figures.source_images import TrialSource, log_with_images, source_of_typical_trial
 from slamcmp.results.run_file import StoredTruth
 from slamcmp.results.store import Results
 from slamcmp.results.streams import known_streams
-from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.types import FloatArray, Frame, Log, MeasurementStream
 from slamcmp.types.stream import EVENT, PASSED, PASSED_RIGHT, RIGHT
 
@@ -128,49 +127,30 @@ def _gathered(results: Results) -> tuple[list[Shown], str]:
     Raises:
         NotDrawable: the experiment has no images, or they are not there any more.
     """
-    config = results.manifest.get("config", {})
-    source, front_end = config.get("source"), config.get("front_end")
-    if not isinstance(source, Mapping) or not isinstance(front_end, Mapping):
-        raise NotDrawable("the results do not tell source and front end")
-    try:
-        of_images = front_ends.get(str(front_end.get("name"))).traits.get("images", False)
-    except SlamcmpError:
-        of_images = False
-    if not of_images:
-        raise NotDrawable("the front end takes no images")
-    trial = typical_trial(results)
-    row = results.trials[results.trials["trial"] == trial].iloc[0]
-    parameters = {name: value for name, value in source.items() if name != "name"}
-    for path in swept_columns(results.trials):
-        if path.startswith("source.") and path.count(".") == 1:
-            value = row[path]
-            parameters[path.removeprefix("source.")] = value.item() if hasattr(value, "item") else value
-    seed = 0 if pd.isna(row["seed"]) else int(row["seed"])
-    shown = _read(results.folder, str(row["digest"]), str(source["name"]), parameters, seed)
-    return shown, trial_name(results, trial)
+    found = source_of_typical_trial(results)
+    return _read(stream_path(results.folder, found.digest), found), found.title
 
 
 _remembered: tuple[object, list[Shown]] | None = None
 """The last trial's images: a page shows them twice."""
 
 
-def _read(folder: Path, digest: str, name: str, parameters: dict[str, Any], seed: int) -> list[Shown]:
+def _read(stored: Path, found: TrialSource) -> list[Shown]:
     global _remembered
-    key = folder, digest, name, repr(parameters), seed
+    key = stored, repr(found)
     if _remembered is None or _remembered[0] != key:
-        _remembered = key, _read_again(stream_path(folder, digest), name, parameters, seed)
+        _remembered = key, _read_again(stored, found)
     return _remembered[1]
 
 
-def _read_again(stored: Path, name: str, parameters: dict[str, Any], seed: int) -> list[Shown]:
+def _read_again(stored: Path, found: TrialSource) -> list[Shown]:
+    log = log_with_images(found)
     try:
         stream = load_stream(stored)
-        plugin = sources.get(name)
-        log: Log = plugin.target(seed, **bind_parameters(plugin, parameters))
-    except Exception as error:
-        # Whatever a source raises: without its images the page is as good as with them, but for these.
-        raise NotDrawable(f"the images are not there any more: {error}") from error
-    if log.images is None or len(log.images) != len(stream.frames):
+    except SlamcmpError as error:
+        raise NotDrawable(f"the stream is not there any more: {error}") from error
+    assert log.images is not None
+    if len(log.images) != len(stream.frames):
         raise NotDrawable("the source delivers other images than it did")
     shown = [each for k in _spread(stream) if (each := _shown(stream, log, k)) is not None]
     if not shown:
