@@ -16,6 +16,7 @@ import slamcmp
 from slamcmp.cli import (
     assignment,
     check,
+    compare,
     data,
     frontend,
     grade,
@@ -44,6 +45,7 @@ for _commands in (
     check,
     seeds,
     results,
+    compare,
     show,
     stream,
     data,

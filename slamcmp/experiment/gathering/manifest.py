@@ -14,9 +14,10 @@ from typing import Any
 import slamcmp
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import Experiment
+from slamcmp.experiment.content_key import run_code, stream_code
 from slamcmp.registry import SESSION
 from slamcmp.results.store import finite
-from slamcmp.support.code_version import PACKAGE, versions
+from slamcmp.support.code_version import PACKAGE, code_version, versions
 from slamcmp.support.paths import is_file
 
 WITH_DEFAULTS = frozenset({"source", "front_end", "back_ends"})
@@ -33,6 +34,7 @@ def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
         "command": command,
         "versions": {"slamcmp": slamcmp.__version__, **versions()},
         "commit": commit(),
+        "code": code(experiment),
         "cpu": cpu_name(),
         "platform": platform.platform(),
         "python": sys.version.split()[0],
@@ -41,6 +43,13 @@ def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
         "seeds": [seed for seed in experiment.seeds if seed is not None],
         "in_session": in_session(experiment),
     }
+
+
+def code(experiment: Experiment) -> dict[str, str]:
+    """The version by its text of what makes the stream, and of each back end with what scores it."""
+    parts = {"stream": stream_code(experiment.source, experiment.front_end)}
+    parts |= {each.label: run_code(each) for each in experiment.back_ends}
+    return {part: code_version(files) for part, files in parts.items()}
 
 
 def in_session(experiment: Experiment) -> dict[str, str | None]:
