@@ -14,11 +14,13 @@ import numpy as np
 from annotated_types import Ge, MultipleOf
 
 from slamcmp.errors import UsageError
+from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
 from slamcmp.support.shared_settings import SharedSettings
-from slamcmp.types import FloatArray, Log
+from slamcmp.types import BoolArray, FloatArray, Log
 from slamcmp.worlds import paths
+from slamcmp.worlds.in_view import landmarks_for
 from slamcmp.worlds.settings import NotNegative, Positive, Settings, field_docs
 from slamcmp.worlds.simulate import World, simulate
 
@@ -63,12 +65,15 @@ def circle(
     ring_offset_m: float = 3.0,
     annulus_min_m: NotNegative = 0.5,
     annulus_max_m: Positive = 5.0,
+    in_view: Positive | None = None,
 ) -> World:
     """Round and round on a circle, landmarks evenly on a ring or at random on both sides of the path.
 
     ``ring`` stands ``ring_offset_m`` outside the path; ``annulus`` draws a distance between
     ``annulus_min_m`` and ``annulus_max_m`` from the path, outside or inside with equal chance; on a path
-    of a smaller radius than that, inside goes on beyond the centre.
+    of a smaller radius than that, inside goes on beyond the centre. With ``in_view`` there are so many
+    landmarks, in place of ``landmarks``, that on average this number is in sight: laps of another length, or
+    another range, then leave the density as it was.
     """
     if annulus_min_m > annulus_max_m:
         raise UsageError(
@@ -78,16 +83,32 @@ def circle(
     turn = math.radians(settings.turn_deg_s)
     radius = settings.speed_m_s / turn
     controls = np.tile([settings.speed_m_s, turn], (settings.steps - 1, 1))
+    count = settings.landmarks
+    if in_view is not None:
+        gaps = np.linspace(annulus_min_m, annulus_max_m, 101)
+        where = np.array([ring_offset_m]) if layout == "ring" else np.concatenate([gaps, -gaps])
+        count = landmarks_for(in_view, _seen_from_a_circle(settings, radius, radius + where))
     if layout == "ring":
-        angles = np.arange(settings.landmarks) * 2 * math.pi / settings.landmarks
-        distances = np.full(settings.landmarks, radius + ring_offset_m)
+        angles = np.arange(count) * 2 * math.pi / count
+        distances = np.full(count, radius + ring_offset_m)
     else:
-        draws = map_generator.random((settings.landmarks, 3))
+        draws = map_generator.random((count, 3))
         angles = 2 * math.pi * draws[:, 0]
         gaps = annulus_min_m + (annulus_max_m - annulus_min_m) * draws[:, 1]
         distances = np.where(draws[:, 2] < 0.5, radius + gaps, radius - gaps)
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return World(controls, np.array([0.0, radius]) + distances[:, None] * directions)
+
+
+def _seen_from_a_circle(settings: Settings, radius: float, distances: FloatArray) -> BoolArray:
+    """Which points all round, at these distances from the centre, are seen on the path, (distances, 720)."""
+    angles = np.linspace(0.0, 2 * math.pi, 720, endpoint=False)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    points = np.array([0.0, radius]) + distances[:, None, None] * directions
+    away, bearing = np.moveaxis(make_sensor("range_bearing", {}).predict(np.eye(3), points), -1, 0)
+    seen: BoolArray = (settings.range_min_m <= away) & (away <= settings.range_max_m)
+    seen &= np.abs(bearing) <= math.radians(settings.field_of_view_deg) / 2
+    return seen
 
 
 @planar_world("random", steps=400, turn_deg_s=20.0)

@@ -70,6 +70,8 @@ class Settings:
     """Of the distance one wheel rolls in a step, for ``encoders``."""
     track_width_m: Positive = 0.5
     """For ``encoders``."""
+    odometry_scale: Positive = 1.0
+    """Multiplies the sigmas of the odometry alone, to study poor wheels among good sensors."""
 
     prior_position_sigma_m: NotNegative = 1e-6
     prior_heading_sigma_rad: NotNegative = 1e-6
@@ -84,10 +86,15 @@ class Settings:
                 f"range_max_m is {self.range_max_m} and range_min_m {self.range_min_m}: "
                 "the largest range must be above the smallest"
             )
-        if self.range_min_m <= 0 or self.noise_scale <= 0 or self.steps < 2 or self.landmarks < 1:
+        if (
+            min(self.range_min_m, self.noise_scale, self.odometry_scale) <= 0
+            or self.steps < 2
+            or self.landmarks < 1
+        ):
             raise UsageError(
-                "range_min_m and noise_scale must be positive, steps at least 2, landmarks at least 1; "
-                f"given {self.range_min_m}, {self.noise_scale}, {self.steps}, {self.landmarks}"
+                "range_min_m, noise_scale and odometry_scale must be positive, steps at least 2, landmarks "
+                f"at least 1; given {self.range_min_m}, {self.noise_scale}, {self.odometry_scale}, "
+                f"{self.steps}, {self.landmarks}"
             )
 
 

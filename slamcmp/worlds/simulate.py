@@ -96,7 +96,7 @@ class _Vehicle:
         parts = settings.process_substeps
         # A rate's noise acts for dt / parts, a distance's as it is: both sum to the variance of a whole step.
         share = 1 / math.sqrt(parts) if settings.odometry == "encoders" else math.sqrt(parts)
-        self.sigmas = settings.noise_scale * share * np.array(sigmas)
+        self.sigmas = settings.noise_scale * settings.odometry_scale * share * np.array(sigmas)
         """Of the controls of one part of a step."""
 
     def controls(self, speed_and_turn: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ def _odometry(
     draws = generator.standard_normal((steps, 3))
     # Drawn last, so that parts leave the other numbers as they are.
     part_draws = [draws[:, :2], *generator.standard_normal((parts - 1, steps, 2))]
-    lateral = settings.noise_scale * settings.lateral_sigma_m
+    lateral = settings.noise_scale * settings.odometry_scale * settings.lateral_sigma_m
     slip = np.zeros((steps, 3))
     slip[:, 1] = lateral * draws[:, 2]
     increments, covariances = np.tile(np.eye(3), (steps + 1, 1, 1)), np.zeros((steps + 1, 3, 3))
