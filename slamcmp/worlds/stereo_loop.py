@@ -14,7 +14,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Interval
 
 from slamcmp.errors import UsageError
-from slamcmp.geometry import exp, pose
+from slamcmp.geometry import exp, inverse, pose
 from slamcmp.models.camera import StereoCamera
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
@@ -121,8 +121,9 @@ def stereo_loop(
     gap = (gap_min_m + (gap_max_m - gap_min_m) * draws[:, 1]) * np.where(draws[:, 2] < 0.5, 1.0, -1.0)
     points = place(2 * math.pi * draws[:, 0], gap, height_m * (2 * draws[:, 3] - 1))
 
-    T_world_body = _circle(radius, turn * np.arange(steps))
-    step = _circle(radius, np.array([turn], dtype=np.float64))[0]
+    angles: FloatArray = turn * np.arange(steps, dtype=np.float64)
+    T_world_body = _circle(radius, angles)
+    step = inverse(T_world_body[0]) @ T_world_body[1]
     sigmas = odometry_scale * np.array([math.radians(rotation_sigma_deg)] * 3 + [translation_sigma_m] * 3)
     increments, Q = np.tile(np.eye(4), (steps, 1, 1)), np.zeros((steps, 6, 6))
     increments[1:] = step @ exp(sigmas * streams.odometry.standard_normal((steps - 1, 6)))
