@@ -9,7 +9,7 @@ distribution-free interval. What an interval does not tell apart is a tie.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -21,18 +21,16 @@ from slamcmp.metrics import MetricColumn, metric_columns
 from slamcmp.metrics.statistics import Interval, paired_interval, ratio_interval
 from slamcmp.registry import did_you_mean
 from slamcmp.results.conditions import Condition
-from slamcmp.results.differences import Differences, differences, setting
-from slamcmp.results.grid import grid_points, labels, point_name, swept_columns, value_text
+from slamcmp.results.differences import Differences, differences
+from slamcmp.results.grid import labels, point_name
 from slamcmp.results.numbers import interval_text, number_text
-from slamcmp.results.partial import NOT_RUN
+from slamcmp.results.paired_runs import Pairing, Refusal, folder_name, seeds_text
 from slamcmp.results.store import Results
 from slamcmp.results.verdict import FEWEST_PAIRS
 from slamcmp.types import FloatArray
 
 DEFAULT_METRICS = ("online_ate", "final_ate", "landmark_rmse", "online_pose_nees", "update_median_ms")
 """What is compared unless something else is asked for, as far as both have it."""
-LISTED = 6
-"""Seeds up to which each is named."""
 Evidence = Literal["interval", "estimate"]
 
 
@@ -64,21 +62,6 @@ class ComparedMetric:
         """``EKF at source.range_sigma_m = 0.1``."""
         where = point_name(self.at)
         return f"{self.label} at {where}" if where else self.label
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """Runs that cannot be paired."""
-
-    label: str
-    at: dict[str, Any]
-    seeds: tuple[str, ...]
-    reason: str
-
-    def sentence(self) -> str:
-        """``EKF, seeds 0, 1: …``."""
-        where = ", ".join(filter(None, [self.label, point_name(self.at), seeds_text(self.seeds)]))
-        return f"{where}: {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -131,7 +114,7 @@ def compare_results(
     _check_names(base, other, back_ends, names)
     chosen = _chosen_metrics(base, other, metrics)
     found = differences(base, other, names)
-    pairing = _Pairing(base, other, names, found)
+    pairing = Pairing(base, other, names, found)
     rows: list[ComparedMetric] = []
     for point, label in pairing.places(back_ends):
         pairs = pairing.pairs(point, label)
@@ -140,11 +123,12 @@ def compare_results(
         ]
     if not pairing.paired:
         reasons = "; ".join(each.sentence() for each in pairing.refused[:3])
-        raise UsageError(
-            f"{_name(base)} and {_name(other)} cannot be compared: {reasons or 'no run in common'}"
-        )
+        both = f"{folder_name(base)} and {folder_name(other)}"
+        raise UsageError(f"{both} cannot be compared: {reasons or 'no run in common'}")
     notes = _notes(base, other, rows)
-    return Comparison(_name(base), _name(other), found, tuple(rows), tuple(pairing.refused), notes)
+    return Comparison(
+        folder_name(base), folder_name(other), found, tuple(rows), tuple(pairing.refused), notes
+    )
 
 
 def judge_condition(
@@ -186,16 +170,6 @@ def judge_condition(
     return Judgement(condition.text, bool(because), tuple(because))
 
 
-def seeds_text(seeds: Sequence[str]) -> str:
-    """``seeds 0, 1``, or how many where they are many; empty for a log that has none."""
-    named = [seed for seed in seeds if seed]
-    if not named:
-        return ""
-    if len(named) > LISTED:
-        return f"{len(named)} seeds"
-    return f"seed{'s' if len(named) > 1 else ''} {', '.join(named)}"
-
-
 def _measured(row: ComparedMetric, *, relative: bool) -> str:
     interval = row.ratio if relative else row.difference
     what = "ratio" if relative else "difference"
@@ -203,10 +177,6 @@ def _measured(row: ComparedMetric, *, relative: bool) -> str:
     text = interval_text(interval)
     bounds = f" [{text}]" if text else " (too few pairs for an interval)"
     return f"{row.metric} {what} {number_text(interval.estimate)}{unit}{bounds}, {row.pairs} pairs"
-
-
-def _name(results: Results) -> str:
-    return str(results.folder)
 
 
 def _check_names(
@@ -218,7 +188,7 @@ def _check_names(
     ]:
         if wanted not in labels(results):
             raise UsageError(
-                f"{_name(results)} has no back end {wanted!r}{did_you_mean(wanted, labels(results))}"
+                f"{folder_name(results)} has no back end {wanted!r}{did_you_mean(wanted, labels(results))}"
             )
 
 
@@ -235,109 +205,6 @@ def _chosen_metrics(base: Results, other: Results, metrics: Sequence[str] | None
         if name not in there:
             raise UsageError(f"{name} has no value in one of the two folders{did_you_mean(name, there)}")
     return {name: there[name] for name in metrics or DEFAULT_METRICS if name in there}
-
-
-class _Pairing:
-    """Which runs belong together, and what was refused on the way."""
-
-    def __init__(self, base: Results, other: Results, names: Mapping[str, str], found: Differences) -> None:
-        self._base, self._other, self._names, self._found = base, other, names, found
-        self.refused: list[Refusal] = []
-        self.paired = 0
-        both = (base.trials, other.trials)
-        self._paths = list(dict.fromkeys(path for each in both for path in swept_columns(each)))
-        self._rows = [self._by_place(each) for each in (base, other)]
-
-    def places(self, back_ends: Sequence[str] | None) -> Iterator[tuple[dict[str, Any], str]]:
-        """Grid points and labels of the base; what only one of the two has is refused."""
-        wanted = list(back_ends or labels(self._base))
-        for label in wanted:
-            theirs = self._names.get(label, label)
-            if theirs not in labels(self._other):
-                hint = f"; --pair '{label}=NAME' names its partner"
-                self.refused.append(Refusal(label, {}, (), f"only in {_name(self._base)}{hint}"))
-        if back_ends is None:
-            partners = {self._names.get(label, label) for label in labels(self._base)}
-            for label in labels(self._other):
-                if label not in partners:
-                    self.refused.append(Refusal(label, {}, (), f"only in {_name(self._other)}"))
-        for point in grid_points(self._base.trials):
-            for label in wanted:
-                if self._names.get(label, label) in labels(self._other):
-                    yield point, label
-
-    def pairs(self, point: dict[str, Any], label: str) -> list[tuple[str, pd.Series, pd.Series]]:
-        """Seed and both rows of each pair, finished or not."""
-        place = self._place(point, self._base)
-        mine = self._rows[0].get((place, label), {})
-        theirs = self._rows[1].get((place, self._names.get(label, label)), {})
-        found, lonely = [], []
-        streams: list[tuple[str, str, str]] = []
-        references: list[tuple[str, str, str]] = []
-        for key, row in mine.items():
-            partner = theirs.get(key)
-            if partner is None:
-                lonely.append(key)
-            elif row["digest"] != partner["digest"] or not row["digest"]:
-                streams.append((key, str(row["digest"]), str(partner["digest"])))
-            elif str(row["reference"]) != str(partner["reference"]):
-                references.append((key, str(row["reference"]), str(partner["reference"])))
-            else:
-                found.append((key, row, partner))
-        self._refuse(point, label, lonely, [key for key in theirs if key not in mine], streams, references)
-        self.paired += len(found)
-        return found
-
-    def _refuse(
-        self,
-        point: dict[str, Any],
-        label: str,
-        only_base: Sequence[str],
-        only_other: Sequence[str],
-        streams: Sequence[tuple[str, str, str]],
-        references: Sequence[tuple[str, str, str]],
-    ) -> None:
-        for keys, results in ((only_base, self._base), (only_other, self._other)):
-            if keys:
-                reason = f"run in {_name(results)} only"
-                self.refused.append(Refusal(label, point, tuple(keys), reason))
-        if streams:
-            shown = " and ".join(each[:12] or "none" for each in streams[0][1:])
-            reason = f"different streams (digests {shown}){self._why_streams_differ()}"
-            self.refused.append(Refusal(label, point, tuple(key for key, *_ in streams), reason))
-        if references:
-            _, one, two = references[0]
-            reason = f"scored against {one!r} in the one and {two!r} in the other"
-            self.refused.append(Refusal(label, point, tuple(key for key, *_ in references), reason))
-
-    def _why_streams_differ(self) -> str:
-        """What a stream is made of and differs."""
-        parts = [each for each in self._found.configuration if each.key.startswith(("source", "front_end"))]
-        parts = parts or [each for each in self._found.code if each.key == "stream"]
-        parts = parts or list(self._found.versions)
-        named = ", ".join(f"{each.key} {each.base} → {each.other}" for each in parts[:3])
-        return f": {named}" if named else ""
-
-    def _by_place(self, results: Results) -> dict[tuple[Any, str], dict[str, pd.Series]]:
-        found: dict[tuple[Any, str], dict[str, pd.Series]] = {}
-        for _, row in results.trials.iterrows():
-            if row["status"] not in NOT_RUN:
-                key = (self._place(row, results), str(row["label"]))
-                found.setdefault(key, {})[_sample(row)] = row
-        return found
-
-    def _place(self, values: Mapping[str, Any] | pd.Series, results: Results) -> tuple[str, ...]:
-        """A grid point in both sweeps: what one folder sweeps, the other may have set."""
-        return tuple(
-            value_text(values[path] if path in values else setting(results.manifest, path))
-            for path in self._paths
-        )
-
-
-def _sample(row: pd.Series) -> str:
-    if "recording" in row and isinstance(row["recording"], str) and row["recording"]:
-        return row["recording"]
-    return "" if pd.isna(row["seed"]) else str(int(row["seed"]))
 
 
 def _compared(
