@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
 import slamcmp
-from slamcmp.cli import main
+from tests.command import Command
 
 EXPERIMENT = """
 source: {{name: circle, landmarks: 8, steps: 25, {source}}}
@@ -44,20 +43,6 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         assert set(found.trials["status"]) == {"ok"}
     return folder
-
-
-class Command:
-    """The command line in this process: exit code, standard output and error."""
-
-    def __init__(self, folder: Path, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]) -> None:
-        self._patch, self._capture = patch, capture
-        patch.chdir(folder)
-
-    def __call__(self, *arguments: str) -> tuple[int, str, str]:
-        self._patch.setattr(sys, "argv", ["slamcmp", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return (int(ended.value.code or 0), *self._capture.readouterr())
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from slamcmp.cli import (
     seeds,
     show,
     stream,
+    trajectories,
 )
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.support.messages import printable, told
@@ -48,6 +49,7 @@ for _commands in (
     compare,
     show,
     stream,
+    trajectories,
     data,
     frontend,
     assignment,

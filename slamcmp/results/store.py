@@ -34,6 +34,9 @@ DIGESTS = "tables_sha256"
 OWN_DIGEST = "manifest_sha256"
 """The key under which the manifest is known by its own content."""
 
+IMPORTED = "imported"
+"""In the place of a back end's name: the poses are another program's."""
+
 
 @dataclass(frozen=True)
 class Results:

@@ -23,7 +23,7 @@ from slamcmp.results.certainty import failure_rate, runs_by_point, worst_run
 from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension, swept_columns
 from slamcmp.results.numbers import interval_text, number_text
 from slamcmp.results.partial import comparable, missing_runs
-from slamcmp.results.store import Results
+from slamcmp.results.store import IMPORTED, Results
 
 TRAJECTORY_METRICS = ("ate", "ate_aligned", "heading_rmse_deg", "pose_nees")
 RUN_METRICS = (
@@ -72,13 +72,14 @@ def summary_table(results: Results) -> pd.DataFrame:
     """One row per grid point and back end: counts of runs, then medians over the runs that are ok.
 
     Every error column says whether it scores the online or the final trajectory; ``failed`` names the
-    statuses of the runs that are in no median; ``own gate``, where there is any, says which rows chose their
-    observations by a gate of their own. Where runs are missing, ``missing`` counts them, and everything else
-    is over the trials that all back ends have.
+    statuses of the runs that are in no median; ``origin``, where any run is imported, marks those;
+    ``own gate``, where there is any, says which rows chose their observations by a gate of their own. Where
+    runs are missing, ``missing`` counts them, and everything else is over the trials that all back ends have.
     """
     missing, results = missing_runs(results), comparable(results)
     columns = summary_columns(results)
     gated = has_values(results.trials, ["own_gate"])
+    foreign = has_values(results.trials, ["back_end"]) and (results.trials["back_end"] == IMPORTED).any()
     rows: list[dict[str, Any]] = []
     for point, label, own in runs_by_point(results):
         ok = own[own["status"] == "ok"]
@@ -87,6 +88,11 @@ def summary_table(results: Results) -> pd.DataFrame:
             {
                 "back end": label,
                 **point,
+                **(
+                    {"origin": IMPORTED if (own["back_end"] == IMPORTED).all() else "run here"}
+                    if foreign
+                    else {}
+                ),
                 **({"own gate": gate_text(own)} if gated else {}),
                 "runs": len(own),
                 "ok": len(ok),

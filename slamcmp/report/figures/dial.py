@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -23,7 +24,7 @@ from slamcmp.results.grid import (
     point_name,
     pose_dimension,
 )
-from slamcmp.results.store import Results
+from slamcmp.results.store import IMPORTED, Results
 
 POLICIES = {
     "latest": "latest estimate",
@@ -58,7 +59,7 @@ class Curve:
 @figures.register(
     "dial",
     title="From filter to smoother",
-    needs=("trials: sliding_window with at least two windows",),
+    needs=("trials: sliding_window, or imported runs with a parameter window, with at least two windows",),
     caption=(
         "Each point is one estimator on the same seeds: to the right it keeps more poses before it "
         "marginalises them. Error: median over the runs, with its quartiles as bars. NEES: mean over runs "
@@ -77,7 +78,7 @@ def plot_dial(results: Results) -> Figure:
     curves, ends, full = arrangement(results.manifest)
     present = set(trials["label"])
     if sum(len(set(curve.labels) & present) for curve in curves) < 2:
-        raise NotDrawable("no sliding_window was run with two windows")
+        raise NotDrawable("no sliding_window was run, and nothing imported, with two windows")
     windows = sorted({window for curve in curves for window in curve.windows})
     places = {window: float(i) for i, window in enumerate(windows)}
     right = float(len(windows))
@@ -85,14 +86,20 @@ def plot_dial(results: Results) -> Figure:
     title = "One dial from filter to smoother" + (f"  {where}" if where else "")
     if full in present:
         title += reach(trials, curves, str(full))
-    figure = style.new_figure(12.0, 4.6, title)
-    panels = list(figure.subplots(1, 3))
     # Mean for the panel with the band, which is one of means.
     content = [
         ("online_ate", "median", "Error: what more poses buy", "online position error, RMS [m]"),
         ("online_pose_nees", "mean", "Honesty: is the claimed covariance right?", "mean online pose NEES"),
         ("online_ms", "median", "Price: time per frame", "time [ms per frame]"),
     ]
+    if (trials["back_end"] == IMPORTED).any():
+        # Another system's world is its own, and of its time and often of its covariance nothing is known.
+        which = "online" if has_values(trials, ["online_ate_aligned"]) else "final"
+        unit = f"{which} position error, aligned, RMS [m]"
+        content[0] = (f"{which}_ate_aligned", "median", "Error: what more poses buy", unit)
+        content = [each for each in content if has_values(trials, [each[0]])]
+    figure = style.new_figure(4.0 * max(len(content), 1.5), 4.6, title)
+    panels = list(np.atleast_1d(figure.subplots(1, len(content))))
     for axes, (column, statistic, title, unit) in zip(panels, content, strict=True):
         if not has_values(trials, [column]):
             raise NotDrawable(f"no run has {column.replace('_', ' ')}")
@@ -101,7 +108,7 @@ def plot_dial(results: Results) -> Figure:
         for row, curve in enumerate(curves):
             colour, marker = style.PALETTE[row], style.MARKERS[row]
             # Side by side, so that the quartiles of one policy do not hide another's.
-            dodge = 0.1 * (row - (len(curves) - 1) / 2) if column == "online_ate" else 0.0
+            dodge = 0.1 * (row - (len(curves) - 1) / 2) if column == content[0][0] else 0.0
             _draw_curve(axes, trials, curve, column, statistic, places, colour, marker, dodge)
             if full in present and curve.policy != "frozen":
                 _draw_lead(axes, trials, curve, str(full), column, statistic, places, right, colour)
@@ -113,11 +120,18 @@ def plot_dial(results: Results) -> Figure:
         axes.set_title(title)
         axes.set_ylabel(unit)
         axes.set_xlabel("← filter      window: poses kept      smoother →")
-        axes.set_xlim(-0.5, right + 0.4)
-        axes.set_xticks([*places.values(), right], [*(str(window) for window in windows), INFINITE])
+        # Imported windows have no full smoothing beside them.
+        end = full is not None or content[0][0] == "online_ate"
+        axes.set_xlim(-0.5, right + 0.4 - (not end))
+        ticks = {
+            **{str(window): place for window, place in places.items()},
+            **({INFINITE: right} if end else {}),
+        }
+        axes.set_xticks(list(ticks.values()), list(ticks))
         style.log_axis(axes)
     _count_failures(panels[0], trials, curves, places)
-    style.legend_below(figure, _keys(curves, ends, full in present), columns=4)
+    band = any(column == "online_pose_nees" for column, *_ in content)
+    style.legend_below(figure, _keys(curves, ends, full=full in present, band=band), columns=4)
     return figure
 
 
@@ -136,11 +150,12 @@ def arrangement(
             groups.setdefault(entry["linearisation"], {})[int(entry["window"])] = label
         elif name == "sliding_window" and entry["linearisation"] != "frozen":
             full = label
+        elif name == IMPORTED and isinstance(entry.get("window"), int):
+            groups.setdefault(str(entry.get("family", IMPORTED)), {})[entry["window"]] = label
     curves = []
-    for policy in POLICIES:
-        if policy in groups:
-            windows = tuple(sorted(groups[policy]))
-            curves.append(Curve(policy, windows, tuple(groups[policy][window] for window in windows)))
+    for policy in (*(each for each in POLICIES if each in groups), *(g for g in groups if g not in POLICIES)):
+        windows = tuple(sorted(groups[policy]))
+        curves.append(Curve(policy, windows, tuple(groups[policy][window] for window in windows)))
     return curves, ends, full
 
 
@@ -186,7 +201,7 @@ def _draw_curve(
         low.append(float(values.quantile(0.25)))
         high.append(float(values.quantile(0.75)))
     axes.plot(x, middle, color=colour, marker=marker, markersize=5, zorder=3)
-    if column == "online_ate":
+    if dodge or column.endswith(("_ate", "_ate_aligned")):
         axes.vlines(x, low, high, color=colour, alpha=0.55, linewidth=1.6, zorder=2)
 
 
@@ -266,9 +281,9 @@ def _count_failures(
                 )
 
 
-def _keys(curves: list[Curve], ends: Mapping[str, tuple[str, str]], full: bool) -> list[Any]:
+def _keys(curves: list[Curve], ends: Mapping[str, tuple[str, str]], *, full: bool, band: bool) -> list[Any]:
     keys: list[Any] = [
-        style.line_key(POLICIES[curve.policy], color=colour, marker=marker)
+        style.line_key(POLICIES.get(curve.policy, curve.policy), color=colour, marker=marker)
         for curve, colour, marker in zip(curves, style.PALETTE, style.MARKERS, strict=False)
     ]
     marks = [*ends.values(), *([FULL] if full else [])]
@@ -283,4 +298,4 @@ def _keys(curves: list[Curve], ends: Mapping[str, tuple[str, str]], full: bool) 
         )
         for name, marker in marks
     ]
-    return [*keys, Patch(facecolor=style.BAND, alpha=0.5, label="95 % band")]
+    return [*keys, Patch(facecolor=style.BAND, alpha=0.5, label="95 % band")] if band else keys
