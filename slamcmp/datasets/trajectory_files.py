@@ -1,8 +1,8 @@
 """Trajectories of other programs as files: TUM, KITTI, EuRoC, and tables with named columns (CSV, Parquet).
 
 A table's columns: ``t_s`` (or ms, us, ns); in the plane ``x_m y_m theta_rad`` (or deg), in space ``x_m y_m
-z_m qx qy qz qw``; and, where known, the covariance of each pose in its body tangent, columns ``P_ij`` with
-i ≤ j from 0 on, in the plane over (x, y, θ), in space over (rotation, translation).
+z_m qx qy qz qw``; and, where known, the covariance of each pose in its body tangent, columns ``P_00`` … with
+indices i ≤ j from 0 on, in the plane over (x, y, θ), in space over (rotation, translation).
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ def _all(columns: Mapping[str, FloatArray], names: tuple[str, ...]) -> bool:
 
 
 def _covariances(path: Path, columns: Mapping[str, FloatArray], p: int) -> FloatArray | None:
-    """(K, p, p) from the columns ``P_ij``.
+    """(K, p, p) from the columns ``P_00`` ….
 
     Raises:
         DataError: only some are there, or a matrix is not positive definite.
