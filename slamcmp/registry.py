@@ -195,6 +195,7 @@ def _told(error: BaseException, path: Path) -> str:
 
 
 sources = Registry("source", "slamcmp.worlds", "slamcmp.datasets")
+data_sets = Registry("data set", "slamcmp.datasets.catalogue")
 front_ends = Registry("front end", "slamcmp.frontend")
 back_ends = Registry(
     "back end",

@@ -1,4 +1,4 @@
-"""``slamcmp data check``."""
+"""``slamcmp data``: published data sets, and one's own logs."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import Annotated
 
 import typer
 
+from slamcmp.cli import data_sets
+
 
 def add_commands(app: typer.Typer) -> None:
     """Put this file's commands into the application."""
     data = typer.Typer(
-        help="Look into logs in plain files.",
+        help="Get published data sets, and look into logs in plain files.",
         epilog="Example: slamcmp data check odometry.csv detections.csv truth.csv landmarks.csv",
         no_args_is_help=True,
     )
-    # A callback keeps the name of an only command.
-    data.callback()(lambda: None)
+    data_sets.add_commands(data)
     data.command(epilog="Example: slamcmp data check odometry.csv detections.csv truth.csv")(check)
     app.add_typer(data, name="data")
 

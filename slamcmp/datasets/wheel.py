@@ -16,10 +16,9 @@ def wheel_file(name: str) -> Path:
     Raises:
         MissingDataError: gtsam is not installed, or its wheel has no such file; near names are listed.
     """
-    spec = importlib.util.find_spec("gtsam")
-    if spec is None or spec.origin is None:
+    folder = wheel_folder()
+    if folder is None:
         raise MissingDataError(f"{name}: needs the data of the gtsam wheel; 'pip install gtsam' brings it")
-    folder = Path(spec.origin).parent / "Data"
     path = folder / name
     if not is_file(path):
         known = sorted(file.name for file in folder.glob("*")) if is_dir(folder) else []
@@ -27,6 +26,12 @@ def wheel_file(name: str) -> Path:
         hint = f"; near names: {', '.join(near)}" if near else ""
         raise MissingDataError(f"{name}: there is no such file in {folder}{hint}")
     return path
+
+
+def wheel_folder() -> Path | None:
+    """The folder ``gtsam/Data``, found without importing gtsam; None where gtsam is not installed."""
+    spec = importlib.util.find_spec("gtsam")
+    return None if spec is None or spec.origin is None else Path(spec.origin).parent / "Data"
 
 
 def find_file(path: str) -> Path:

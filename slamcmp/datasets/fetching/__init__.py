@@ -1,0 +1,1 @@
+"""Data sets on this machine: downloading, unpacking and checking what others published."""
