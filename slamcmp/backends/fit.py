@@ -15,6 +15,10 @@ from slamcmp.errors import DivergedError
 
 MAX_CHI2_PER_DOF = 3.0
 """What a back end allows unless told otherwise: outside chance for any dof over 24."""
+BELIEVED = 0.9999
+"""Probability of a right observation to lie as near to a robust solution as one that it believes."""
+MOST_OUTLIERS = 0.5
+"""Largest share of observations that one may disbelieve; from more no kernel can tell who is right."""
 CHANCE = 1e-6
 """Probability with which a right solution may be refused, where it has few degrees of freedom."""
 
@@ -48,3 +52,21 @@ def require_fit(chi2: float, dof: float, limit: float, what: str, remedy: str) -
         f"{what}: χ²/dof is {chi2 / dof:.4g}, above {allowed}: a wrong basin ({remedy}), or noise that the "
         "covariances do not describe (outliers, wrong associations)"
     )
+
+
+def require_majority(outliers: int, total: int, what: str) -> None:
+    """Refuse a robust solution that disbelieves most of what was observed.
+
+    Args:
+        outliers: observations that are not within ``BELIEVED`` of it.
+        total: all observations.
+        what: the back end, for the message.
+
+    Raises:
+        DivergedError: they are most.
+    """
+    if outliers > MOST_OUTLIERS * total:
+        raise DivergedError(
+            f"{what}: {outliers} of {total} observations are outliers to the solution: a wrong basin, or "
+            "more outliers than a kernel can bear"
+        )

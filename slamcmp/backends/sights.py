@@ -98,7 +98,7 @@ class Measurements:
             np.concatenate([self.entering, other.entering]),
         )
 
-    def of(self, rows: slice) -> Measurements:
+    def of(self, rows: slice | BoolArray) -> Measurements:
         """These rows."""
         return Measurements(
             self.z[rows], self.W[rows], self.pose_of[rows], self.landmark_of[rows], self.entering[rows]

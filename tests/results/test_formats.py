@@ -22,6 +22,7 @@ SHORT = {
     "filter_vs_smoother": ({"steps": 12}, {}),
     "association": ({"steps": 12}, {}),
     "observability": ({"steps": 12}, {}),
+    "outliers": ({"steps": 12}, {}),
     "rendered_room": ({"steps": 3, "width_px": 320, "height_px": 240}, {"followed": 15}),
 }
 """Shipped experiments that together show every column, and what makes them short: a run of each back end."""

@@ -31,7 +31,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge
+from annotated_types import Ge, Gt
 
 from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.filters.charts import Chart
@@ -39,6 +39,7 @@ from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.filters.error_covariance import ErrorCovariance, StackedJacobian
 from slamcmp.backends.filters.map_filter import LinearisingFilter, Observed
 from slamcmp.backends.filters.postponed import PostponedCovariance
+from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.errors import UsageError
 from slamcmp.geometry import adjoint_of_inverse, exp, retract_in_world_axes
 from slamcmp.registry import back_ends
@@ -63,9 +64,12 @@ class EkfSlam(LinearisingFilter):
             are dropped, which changes nothing else if it is never seen again). Seen again, it enters anew,
             without the memory that would close a loop; where one measurement does not place a landmark
             (a single camera), what is measured of a forgotten one is dropped, and counted. None: never.
+        robust: kernel on the observations' whitened residuals (robust.py); a landmark whose second sighting
+            contradicts its first starts anew (doubtful.py).
+        robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 
     Raises:
-        UsageError: both ``active_landmarks`` and ``forget_after`` are given.
+        UsageError: ``active_landmarks`` is given with ``forget_after`` or a kernel.
         DataError: a measurement that should place a landmark does not.
         DivergedError: an innovation covariance is not positive definite or not finite, or most landmarks
             that a camera sees are behind it.
@@ -79,11 +83,19 @@ class EkfSlam(LinearisingFilter):
         error_state: Literal["world", "body"] = "world",
         active_landmarks: Annotated[int, Ge(1)] | None = None,
         forget_after: Annotated[int, Ge(1)] | None = None,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
+        kernel = robust_kernel(robust, robust_width)
         if active_landmarks is not None and forget_after is not None:
             raise UsageError(
                 "ekf_slam: active_landmarks postpones the work on landmarks out of sight, forget_after drops "
                 "them; give one of the two"
+            )
+        if active_landmarks is not None and kernel is not None:
+            raise UsageError(
+                "ekf_slam: active_landmarks postpones the work on landmarks out of sight, robust drops those "
+                "that begin with an outlier; give one of the two"
             )
         n = problem.sensor.space_dim
         storage = (
@@ -91,7 +103,7 @@ class EkfSlam(LinearisingFilter):
             if active_landmarks is None
             else PostponedCovariance(problem.P, n, active_landmarks)
         )
-        super().__init__(problem, Chart(n), ErrorCovariance(storage, n))
+        super().__init__(problem, Chart(n), ErrorCovariance(storage, n), kernel)
         self._join_first = new_landmarks == "join_first"
         self._in_world_axes = error_state == "world"
         self._forget_after = forget_after
@@ -141,12 +153,8 @@ class EkfSlam(LinearisingFilter):
         stays = np.array([self._last_seen[landmark] > oldest for landmark in self._number], dtype=bool)
         if stays.all():
             return
-        p, n = self._chart.p, self._chart.n
-        self._P.drop((p + n * np.flatnonzero(~stays)[:, None] + np.arange(n)).ravel())
-        self._landmarks = self._landmarks[stays]
-        kept = [landmark for landmark, stay in zip(self._number, stays, strict=True) if stay]
-        self._number = {landmark: number for number, landmark in enumerate(kept)}
-        self._last_seen = {landmark: self._last_seen[landmark] for landmark in {*kept, *seen}}
+        self._keep(stays)
+        self._last_seen = {landmark: self._last_seen[landmark] for landmark in {*self._number, *seen}}
 
     def _augment(self, entries: Entries) -> None:
         """New landmarks at their inverse observation, with their correlation to everything known."""

@@ -39,6 +39,8 @@ from scipy.linalg.lapack import dtrtrs
 
 from slamcmp.backends.filters.covariance import JointCovariance, stacked
 from slamcmp.backends.filters.postponed import PostponedCovariance
+from slamcmp.backends.filters.reweighting import reweighted
+from slamcmp.backends.robust import Kernel
 from slamcmp.backends.whitening import whitened_update
 from slamcmp.errors import DivergedError
 from slamcmp.types import FloatArray, IntArray
@@ -180,6 +182,10 @@ class ErrorCovariance:
         self.storage = storage
         self.nis, self.nis_dof = 0.0, 0
         """Of the frame so far: y^T S^-1 y and the number of its components."""
+        self.weights: FloatArray | None = None
+        """Of the frame's observations, (m,), where a kernel gave them any."""
+        self._kernel: Kernel | None = None
+        self._components = 0
         self._n = n
         self._pose_states = np.arange(storage.size)
         self.frame = -1
@@ -196,10 +202,15 @@ class ErrorCovariance:
         self._listeners += (listener,)
         return listener
 
+    def make_robust(self, kernel: Kernel, components: int) -> None:
+        """Let every observation of so many components go through the kernel (reweighting.py)."""
+        self._kernel, self._components = kernel, components
+
     def begin_frame(self, k: int) -> None:
         """What follows belongs to frame k."""
         self.frame = k
         self.nis, self.nis_dof = 0.0, 0
+        self.weights = None
 
     def end_frame(self, t: float, mean: FloatArray) -> None:
         """The frame is over, its pose having the ``mean``: the next ``move`` will overwrite its rows."""
@@ -246,15 +257,23 @@ class ErrorCovariance:
         return self.storage.touch(numbers, landmarks)
 
     def observe(
-        self, touched: IntArray, H: FloatArray | StackedJacobian, R: FloatArray, y: FloatArray
+        self,
+        touched: IntArray,
+        H: FloatArray | StackedJacobian,
+        R: FloatArray,
+        y: FloatArray,
+        beside: FloatArray | None = None,
     ) -> FloatArray:
         """Take in y = H (errors of the states touched) + noise; the mean error given it, (states,).
+
+        With a kernel R is what it makes of it; NIS stays that of the noise as it was given.
 
         Args:
             touched: states (c,), the pose's first, as ``touch`` tells them.
             H: (k, c).
-            R: (k, k).
+            R: noise of the measurements, (k, k).
             y: (k,).
+            beside: covariance (k, k) of what else y is uncertain by, which no kernel doubts.
 
         Raises:
             DivergedError: S is not positive definite, or y not finite.
@@ -266,6 +285,11 @@ class ErrorCovariance:
         else:
             PHt_t = (columns @ H.T).T
             S = H @ PHt_t.T[touched]
+        nominal: float | None = None
+        if self._kernel is not None:
+            R, nominal = self._robust(self._kernel, S if beside is None else S + beside, R, y)
+        if beside is not None:
+            R = R + beside
         S += R
         L, W_t, e, nis = whitened_update(S, PHt_t, y)
         if not math.isfinite(nis):
@@ -273,7 +297,8 @@ class ErrorCovariance:
         # Before the downdate, which takes W from the cache.
         dx: FloatArray = e @ W_t
         self.storage.downdate(W_t)
-        self.nis, self.nis_dof = self.nis + nis, self.nis_dof + y.size
+        self.nis += nis if nominal is None else nominal
+        self.nis_dof += y.size
         if self._listeners:
             matrix = H.dense() if isinstance(H, StackedJacobian) else H
             self._tell(Correction(self.storage.states(touched), matrix, R, L, W_t, e))
@@ -312,6 +337,17 @@ class ErrorCovariance:
     def diagonal_blocks(self) -> FloatArray:
         """Each landmark's own block, (L, n, n), a copy."""
         return self.storage.diagonal_blocks(self._n)
+
+    def noise_of(self, S_known: FloatArray, R: FloatArray, y: FloatArray) -> FloatArray:
+        """R (k, k), or what a kernel makes of it; y (k,) has the covariance S_known (k, k) without R."""
+        return R if self._kernel is None else self._robust(self._kernel, S_known, R, y)[0]
+
+    def _robust(
+        self, kernel: Kernel, S_known: FloatArray, R: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, float | None]:
+        found = reweighted(kernel, S_known, R, y, self._components)
+        self.weights = found.weights
+        return found.R, found.nis
 
     def _tell(self, event: Event) -> None:
         for listener in self._listeners:

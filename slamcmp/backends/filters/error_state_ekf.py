@@ -35,7 +35,8 @@ from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.map_filter import LinearisingFilter, Observed, sandwich
 from slamcmp.backends.filters.rts_smoother import History
 from slamcmp.backends.filters.unanchored import square_root
-from slamcmp.types import FloatArray, Frame, IntArray, Problem, SensorModel, Trajectory
+from slamcmp.backends.robust import Kernel
+from slamcmp.types import BoolArray, FloatArray, Frame, IntArray, Problem, SensorModel, Trajectory
 
 NewLandmarks = Literal["join_first", "update_first"]
 """``join_first`` puts new landmarks into the state before the update, linearised at the predicted pose;
@@ -51,6 +52,8 @@ class ErrorStateEkf(LinearisingFilter):
         policy: where Jacobians are taken; other than at the latest estimate only in the world chart.
         new_landmarks: see :data:`NewLandmarks`.
         smooth: keep the history and offer ``trajectory()``.
+        kernel: of the observations; None: they are quadratic. With one, a landmark whose second sighting
+            contradicts its first starts anew (doubtful.py).
         covariance: the verbs on P.
 
     Raises:
@@ -69,11 +72,12 @@ class ErrorStateEkf(LinearisingFilter):
         *,
         new_landmarks: NewLandmarks,
         smooth: bool,
+        kernel: Kernel | None = None,
         covariance: type[ErrorCovariance] = ErrorCovariance,
     ) -> None:
         T = problem.T_world_body
         P = JointCovariance(sandwich(chart.from_body(T), problem.P))
-        super().__init__(problem, chart, covariance(P, chart.n))
+        super().__init__(problem, chart, covariance(P, chart.n), kernel)
         self._policy = policy
         self._join_first = new_landmarks == "join_first"
         self.history: History | None = None
@@ -110,6 +114,10 @@ class ErrorStateEkf(LinearisingFilter):
     def marginalise(self, frame: Frame) -> None:
         """The posterior of pose and map is the next frame's prior."""
         self._P.end_frame(frame.t, self._T)
+
+    def _keep(self, stays: BoolArray) -> None:
+        super()._keep(stays)
+        self._policy.keep(stays)
 
     def _predict(self, frame: Frame, seen: IntArray) -> None:
         """Move to the frame's pose; ``seen`` are the numbers of the known landmarks that it observes."""

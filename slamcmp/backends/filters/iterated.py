@@ -28,6 +28,7 @@ from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
 from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.relaxation import relaxed_share
+from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.geometry import so3_left_jacobian
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, IntArray, Problem
@@ -43,6 +44,7 @@ class IteratedEkf(ErrorStateEkf):
             the minimum is shortened, but for the last.
         tolerance: a step whose largest entry [m or rad] is below it is the last.
         smooth: keep the history and offer ``trajectory()`` (RTS).
+        robust, robust_width: see ../robust.py; the weights are those of each linearisation.
 
     Raises:
         DivergedError: an innovation covariance is not positive definite or not finite.
@@ -55,9 +57,14 @@ class IteratedEkf(ErrorStateEkf):
         iterations: Annotated[int, Ge(1)] = 10,
         tolerance: Annotated[float, Gt(0)] = 1e-12,
         smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         chart = WorldChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks="update_first", smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(
+            problem, chart, LatestEstimate(), new_landmarks="update_first", smooth=smooth, kernel=kernel
+        )
         self._iterations, self._tolerance = iterations, tolerance
 
     def solve(self, seen: Observed) -> None:
@@ -98,7 +105,8 @@ class IteratedEkf(ErrorStateEkf):
             H = stacked(H_pose @ self._carried(s), H_land)
             y = self._sensor.residual(seen.z, self._sensor.predict(T, landmarks)).ravel() + H @ s
             if remaining:
-                step = P @ H.T @ np.linalg.solve(H @ P @ H.T + R, y) - s
+                S_known = H @ P @ H.T
+                step = P @ H.T @ np.linalg.solve(S_known + self._P.noise_of(S_known, R, y), y) - s
                 if np.abs(step).max() < self._tolerance:
                     break
                 share, last_step = relaxed_share(step, last_step, share), step

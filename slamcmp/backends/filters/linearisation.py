@@ -13,7 +13,7 @@ import numpy as np
 
 from slamcmp.backends.far_points import FarPoints
 from slamcmp.errors import UsageError
-from slamcmp.types import FloatArray, GroundTruth, IntArray
+from slamcmp.types import BoolArray, FloatArray, GroundTruth, IntArray
 
 Points = tuple[FloatArray, FloatArray]
 """A pose (n+1, n+1) and landmarks (m, n), or two poses."""
@@ -49,6 +49,9 @@ class LatestEstimate:
     def new(self, T: FloatArray, ids: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         """The same for landmarks that now join the state at ``landmarks`` (m, n); T is the mean now."""
         return T, landmarks
+
+    def keep(self, stays: BoolArray) -> None:
+        """The landmarks that are not marked (L,) have left the state."""
 
     def require_near(self, k: int, T: FloatArray, landmarks: FloatArray, at: Points) -> None:
         """Nothing: the newest estimate is its own point, and the truth no estimate's."""
@@ -100,6 +103,9 @@ class FirstEstimates(RememberedPoints):
     def known(self, T: FloatArray, numbers: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         return T, self._landmarks[numbers]
 
+    def keep(self, stays: BoolArray) -> None:
+        self._landmarks = self._landmarks[stays]
+
     def new(self, T: FloatArray, ids: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         self._landmarks = np.concatenate([self._landmarks, landmarks])
         self._far.placed(landmarks - T[:-1, -1])
@@ -150,6 +156,9 @@ class ObservabilityConstrained(RememberedPoints):
     def known(self, T: FloatArray, numbers: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         return T, self._null_landmarks[numbers] + T[:-1, -1] - self._null_position
 
+    def keep(self, stays: BoolArray) -> None:
+        self._null_landmarks = self._null_landmarks[stays]
+
     def new(self, T: FloatArray, ids: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         self._far.placed(landmarks - T[:-1, -1])
         shifted = landmarks - self._T_predicted[:-1, -1] + self._null_position
@@ -186,6 +195,9 @@ class Truth(LatestEstimate):
 
     def known(self, T: FloatArray, numbers: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         return self._T, self._landmarks[numbers]
+
+    def keep(self, stays: BoolArray) -> None:
+        self._landmarks = self._landmarks[stays]
 
     def new(self, T: FloatArray, ids: IntArray, landmarks: FloatArray) -> Points:  # noqa: ARG002
         missing = [landmark for landmark in ids.tolist() if landmark not in self._row]

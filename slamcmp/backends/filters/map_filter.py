@@ -7,14 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slamcmp.backends.doubtful import DoubtfulLandmarks
 from slamcmp.backends.entries import Entries, entering, has_blind_side, with_image
 from slamcmp.backends.filters.charts import Chart
 from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_covariance import ErrorCovariance
 from slamcmp.backends.filters.unanchored import UnanchoredFilter
+from slamcmp.backends.robust import DOUBTED, Kernel
 from slamcmp.backends.unanchored import Linearisation
 from slamcmp.models.sensors import entry_sensor
-from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, SensorModel
+from slamcmp.types import BoolArray, Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, SensorModel
 
 
 class Observed(NamedTuple):
@@ -37,9 +39,12 @@ class MapFilter:
         problem: prior and sensor.
         chart: what the errors mean whose covariance is kept.
         P: that covariance; at the start the pose's.
+        kernel: of the observations; None: they are quadratic.
     """
 
-    def __init__(self, problem: Problem, chart: Chart, P: ErrorCovariance) -> None:
+    def __init__(
+        self, problem: Problem, chart: Chart, P: ErrorCovariance, kernel: Kernel | None = None
+    ) -> None:
         self._sensor: SensorModel = problem.sensor
         self._entry_sensor: SensorModel = entry_sensor(problem.sensor)
         self._has_blind_side = has_blind_side(problem.sensor)
@@ -53,6 +58,11 @@ class MapFilter:
         self._dropped = 0
         self._points: tuple[FloatArray, FloatArray, IntArray] | None = None
         """Where the frame's observations were linearised: pose, landmarks (m, n), and their numbers (m,)."""
+        self._doubtful: DoubtfulLandmarks | None = None
+        self._restarted = 0
+        if kernel is not None:
+            P.make_robust(kernel, problem.sensor.dim)
+            self._doubtful = DoubtfulLandmarks(problem.sensor)
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
@@ -89,18 +99,45 @@ class MapFilter:
 
     def diagnostics(self) -> Mapping[str, float]:
         """NIS of the last frame with its degrees of freedom, landmarks in the state, and how many of the
-        frame's measurements were dropped (entries.py)."""
-        return {
+        frame's measurements were dropped (entries.py).
+
+        With a kernel also the smallest weight of an observation, how many it ``downweighted`` to less than a
+        half, and how many landmarks were ``restarted`` (doubtful.py)."""
+        told = {
             "nis": self._P.nis if self._P.nis_dof else float("nan"),
             "nis_dof": self._P.nis_dof,
             "landmarks": len(self._number),
             "dropped": self._dropped,
         }
+        if self._doubtful is None:
+            return told
+        weights = np.ones(0) if self._P.weights is None else self._P.weights
+        return {
+            **told,
+            "smallest_weight": weights.min(initial=1.0),
+            "downweighted": int((weights < DOUBTED).sum()),
+            "restarted": self._restarted,
+        }
 
     def _begin(self, frame: Frame) -> None:
-        """What diagnostics tell is from now on about this frame."""
+        """What diagnostics tell is from now on about this frame; landmarks that it contradicts leave."""
         self._P.begin_frame(frame.k)
         self._dropped, self._points = 0, None
+        if self._doubtful is not None:
+            again = self._doubtful.contradicted(frame, self._number)
+            self._restarted = len(again)
+            if again:
+                stays = np.ones(len(self._number), dtype=bool)
+                stays[[self._number[landmark] for landmark in again]] = False
+                self._keep(stays)
+
+    def _keep(self, stays: BoolArray) -> None:
+        """Marginalise the landmarks that are not marked (L,); the others close ranks."""
+        p, n = self._chart.p, self._chart.n
+        self._P.drop((p + n * np.flatnonzero(~stays)[:, None] + np.arange(n)).ravel())
+        self._landmarks = self._landmarks[stays]
+        kept = [landmark for landmark, stay in zip(self._number, stays, strict=True) if stay]
+        self._number = {landmark: number for number, landmark in enumerate(kept)}
 
     def _sorted(self, frame: Frame) -> Observed:
         """The frame's observations of landmarks in the state, and the landmarks that enter."""

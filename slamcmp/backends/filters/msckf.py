@@ -30,22 +30,25 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge
-from scipy.linalg.lapack import dpotrf, dtrtrs
+from annotated_types import Ge, Gt
 
-from slamcmp.backends.entries import behind, places_by_itself
+from slamcmp.backends.entries import places_by_itself
 from slamcmp.backends.filters.charts import WorldChart
 from slamcmp.backends.filters.covariance import JointCovariance
 from slamcmp.backends.filters.error_covariance import ErrorCovariance
 from slamcmp.backends.filters.map_filter import sandwich
+from slamcmp.backends.filters.triangulation import (
+    best_supported,
+    lengths,
+    robust_triangulate,
+    triangulate,
+)
+from slamcmp.backends.robust import DOUBTED, RobustKernel, robust_kernel
 from slamcmp.backends.sights import Sights, padded
 from slamcmp.backends.whitening import whiteners
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.registry import back_ends
 from slamcmp.types import Detections, Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, Trajectory
-
-TRIANGULATION_STEPS = 10
-"""Gauss-Newton steps for one landmark; with a good first sight three suffice."""
 
 
 @dataclass
@@ -74,6 +77,8 @@ class Constraint:
     """N^T H_x, (m d - n, K p)."""
     r: FloatArray
     """N^T r."""
+    weights: FloatArray
+    """Of its observations, (m,); 1 without a kernel."""
 
 
 @back_ends.register("msckf", closes_loops=False)
@@ -90,12 +95,25 @@ class Msckf:
     Args:
         problem: prior and sensor (planar or spatial).
         window: poses kept, the current one included; a track cannot be longer.
+        robust: kernel on the observations' whitened residuals, as the track's own point leaves them: where
+            the track was triangulated from the window's poses, which know each other well. It starts from
+            the sighting with which the others agree best, and what it doubts weighs less as a constraint.
+        robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 
     Raises:
         DivergedError: an innovation covariance is not positive definite or not finite.
     """
 
-    def __init__(self, problem: Problem, *, window: Annotated[int, Ge(2)] = 15) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        window: Annotated[int, Ge(2)] = 15,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
+    ) -> None:
+        self._kernel = robust_kernel(robust, robust_width)
+        self._weights = np.ones(0)
         self._sensor = problem.sensor
         self._sights = Sights(problem.sensor, entry_sensor(problem.sensor))
         self._window = window
@@ -141,6 +159,7 @@ class Msckf:
     def solve(self, constraints: list[Constraint]) -> None:
         """One Gauss-Newton step on it, in covariance form; places the tracks' landmarks."""
         self._used = len(constraints)
+        self._weights = np.concatenate([np.ones(0), *(constraint.weights for constraint in constraints)])
         if not constraints:
             return
         H = np.concatenate([constraint.H for constraint in constraints])
@@ -192,14 +211,22 @@ class Msckf:
 
     def diagnostics(self) -> Mapping[str, float]:
         """NIS of the frame's update with its degrees of freedom, tracks used by it, landmarks of the map, and
-        how many observations were dropped with their tracks."""
+        how many observations were dropped with their tracks; with a kernel also the smallest weight of an
+        observation that was used, and how many it ``downweighted`` to less than a half."""
         ended = self._ended
-        return {
+        told = {
             "nis": ended._P.nis if ended._P.nis_dof else float("nan"),
             "nis_dof": ended._P.nis_dof,
             "tracks_used": ended._used,
             "landmarks": len(ended._map),
             "dropped": ended._dropped,
+        }
+        if self._kernel is None:
+            return told
+        return {
+            **told,
+            "smallest_weight": ended._weights.min(initial=1.0),
+            "downweighted": int((ended._weights < DOUBTED).sum()),
         }
 
     def _note(self, k: int, sights: Frame | Detections, *, entering: bool) -> None:
@@ -259,9 +286,13 @@ class Msckf:
         poses = self._T[numbers]
         start = self._start(landmark, track, poses[0])
         position = None if start is None else triangulate(sights, poses, z, W, start)
+        weights = np.ones(m)
+        if start is not None and self._kernel is not None:
+            position, weights = self._doubted(sights, poses, z, W, start, position)
         if position is None:
             self._dropped += m
             return None
+        W = np.sqrt(weights)[:, None, None] * W
         points = np.tile(position, (m, 1))
         H_pose, H_land = sights.derivatives(poses, points, poses, points)
         A = np.array([self._chart.to_body(T) for T in poses])
@@ -280,7 +311,28 @@ class Msckf:
             inverse @ basis[:, : self._n].T @ H_x,
             N.T @ H_x,
             N.T @ r,
+            weights,
         )
+
+    def _doubted(
+        self,
+        sights: Sights,
+        poses: FloatArray,
+        z: FloatArray,
+        W: FloatArray,
+        start: FloatArray,
+        position: FloatArray | None,
+    ) -> tuple[FloatArray | None, FloatArray]:
+        """The landmark under the kernel and the weights (m,), ``position`` being the one without."""
+        kernel, ones = self._kernel, np.ones(len(z))
+        assert kernel is not None
+        if position is not None:
+            r = lengths(sights, poses, z, W, np.tile(position, (len(z), 1)))
+            if (kernel.weight(r) == 1.0).all():
+                return position, ones
+        if places_by_itself(self._sensor):
+            start = best_supported(sights, poses, z, W, kernel)
+        return robust_triangulate(sights, poses, z, W, start, kernel)
 
     def _start(self, landmark: int, track: Track, T: FloatArray) -> FloatArray | None:
         """Where triangulation begins: by the first sight from T, or where the last track ended."""
@@ -288,28 +340,3 @@ class Msckf:
         if track.entering[0] or places_by_itself(self._sensor):
             return by.invert(T, track.z[0][: by.dim])
         return self._map[landmark][0] if landmark in self._map else None
-
-
-def triangulate(
-    sights: Sights, poses: FloatArray, z: FloatArray, W: FloatArray, start: FloatArray
-) -> FloatArray | None:
-    """The landmark (n,) that fits observations z (m, d) from known poses (m, …) best, or None.
-
-    Gauss-Newton from ``start`` (n,); W (m, d, d) whitens. None where the observations do not determine it, or
-    not in front of every camera.
-    """
-    m = len(z)
-    position = start
-    for _ in range(TRIANGULATION_STEPS):
-        points = np.tile(position, (m, 1))
-        H = (W @ sights.derivatives(poses, points, poses, points)[1]).reshape(z.size, -1)
-        r = -(W @ sights.errors(poses, points, z)[..., None]).ravel()
-        L, failed = dpotrf(H.T @ H, lower=1)
-        if failed:
-            return None
-        step = dtrtrs(L, dtrtrs(L, H.T @ r, lower=1)[0], lower=1, trans=1)[0]
-        position = position + step
-        if np.abs(step).max() < 1e-10:
-            break
-    hidden = behind(sights.sensor, poses, np.tile(position, (m, 1)))
-    return None if hidden is not None and hidden.any() else position

@@ -20,7 +20,10 @@ G, N      new landmarks' derivative by w, and their own noise
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
+from annotated_types import Gt
 from scipy.linalg import block_diag
 
 from slamcmp.backends.entries import Entries, placed
@@ -30,6 +33,7 @@ from slamcmp.backends.filters.error_covariance import ErrorCovariance, Growth, J
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.map_filter import Observed
+from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.geometry import exp, inverse, right_jacobian, transform
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, Frame, IntArray, Problem
@@ -43,13 +47,20 @@ class RobocentricEkf(ErrorStateEkf):
         problem: prior and sensor.
         new_landmarks: see error_state_ekf.py.
         smooth: keep the history and offer ``trajectory()``.
+        robust, robust_width: see ../robust.py.
 
     Raises:
         DivergedError: an innovation covariance is not positive definite or not finite.
     """
 
     def __init__(
-        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: NewLandmarks = "join_first",
+        smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         chart = self._robocentric = RobocentricChart(problem.sensor.space_dim, problem.T_world_body)
         super().__init__(
@@ -58,6 +69,7 @@ class RobocentricEkf(ErrorStateEkf):
             LatestEstimate(),
             new_landmarks=new_landmarks,
             smooth=smooth,
+            kernel=robust_kernel(robust, robust_width),
             covariance=IncrementCovariance,
         )
         self._P: IncrementCovariance

@@ -32,6 +32,7 @@ from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.map_filter import Observed
+from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.geometry import exp
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray, Frame, IntArray, Problem
@@ -58,6 +59,7 @@ class UkfSlam(ErrorStateEkf):
         kappa: second scaling of the spread, sqrt(alpha² (c + kappa)).
         new_landmarks: see error_state_ekf.py.
         smooth: keep the history and offer ``trajectory()`` (unscented RTS, through the regressions).
+        robust, robust_width: see ../robust.py; what the regression leaves is not doubted.
 
     Raises:
         DivergedError: an innovation covariance is not positive definite or not finite.
@@ -73,9 +75,14 @@ class UkfSlam(ErrorStateEkf):
         kappa: Annotated[float, Ge(0)] = 0.0,
         new_landmarks: NewLandmarks = "join_first",
         smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         chart = CHARTS[retraction](problem.sensor.space_dim, problem.T_world_body)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(
+            problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
+        )
         self._alpha, self._beta, self._kappa = alpha, beta, kappa
         self._sampled_motion = retraction == "additive"
 
@@ -129,7 +136,7 @@ class UkfSlam(ErrorStateEkf):
 
         mean, H, Omega = self._regression(observed, self._P.block(touched))
         y = self._sensor.residual(seen.z, z_mean).ravel() - mean
-        dx = self._P.observe(touched, H, block_diagonal(seen.R) + Omega, y)
+        dx = self._P.observe(touched, H, block_diagonal(seen.R), y, Omega)
         self._T, self._landmarks = self._chart.retract(self._T, self._landmarks, dx)
 
     def _regression(

@@ -11,12 +11,15 @@ name                      chart                   Jacobians at
 ========================  ======================  ==========================
 
 ``ekf_slam`` is ``ekf_world`` without this engine, sooner; ``ekf_robocentric`` has another order of steps and
-a file of its own. For ``new_landmarks`` and ``smooth`` see error_state_ekf.py.
+a file of its own. For ``new_landmarks`` and ``smooth`` see error_state_ekf.py, for ``robust`` and its width
+../robust.py.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from annotated_types import Gt
 
 from slamcmp.backends.entries import places_by_itself
 from slamcmp.backends.filters.charts import RightInvariantChart, WorldChart
@@ -27,6 +30,7 @@ from slamcmp.backends.filters.linearisation import (
     ObservabilityConstrained,
     Truth,
 )
+from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.registry import back_ends
 from slamcmp.types import GroundTruth, Problem
 
@@ -39,10 +43,19 @@ class WorldEkf(ErrorStateEkf):
     """
 
     def __init__(
-        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: NewLandmarks = "join_first",
+        smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         chart = WorldChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(
+            problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
+        )
 
 
 @back_ends.register("ekf_fej")
@@ -61,10 +74,13 @@ class FirstEstimatesEkf(ErrorStateEkf):
         new_landmarks: NewLandmarks = "join_first",
         new_landmark_jacobian: Literal["predicted", "updated"] = "predicted",
         smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         policy = FirstEstimates(problem.T_world_body, new_at_predicted=new_landmark_jacobian == "predicted")
         chart = WorldChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth, kernel=kernel)
 
 
 @back_ends.register("ekf_oc")
@@ -76,13 +92,20 @@ class ObservabilityConstrainedEkf(ErrorStateEkf):
     """
 
     def __init__(
-        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: NewLandmarks = "join_first",
+        smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         # A single camera's landmarks are far less known than the pose that they would shift.
         shift_pose = places_by_itself(problem.sensor)
         policy = ObservabilityConstrained(problem.T_world_body, shift_pose=shift_pose)
         chart = WorldChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth, kernel=kernel)
 
 
 @back_ends.register("ekf_right_invariant")
@@ -90,10 +113,19 @@ class RightInvariantEkf(ErrorStateEkf):
     """Right-invariant EKF-SLAM (Barrau, Bonnabel 2015; Zhang, Wu, Huang 2017)."""
 
     def __init__(
-        self, problem: Problem, *, new_landmarks: NewLandmarks = "join_first", smooth: bool = False
+        self,
+        problem: Problem,
+        *,
+        new_landmarks: NewLandmarks = "join_first",
+        smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         chart = RightInvariantChart(problem.sensor.space_dim, problem.T_world_body)
-        super().__init__(problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(
+            problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
+        )
 
 
 @back_ends.register("ekf_ideal", needs_truth=True)
@@ -112,6 +144,11 @@ class IdealEkf(ErrorStateEkf):
         *,
         new_landmarks: NewLandmarks = "join_first",
         smooth: bool = False,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         chart = WorldChart(problem.sensor.space_dim)
-        super().__init__(problem, chart, Truth(truth), new_landmarks=new_landmarks, smooth=smooth)
+        kernel = robust_kernel(robust, robust_width)
+        super().__init__(
+            problem, chart, Truth(truth), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
+        )

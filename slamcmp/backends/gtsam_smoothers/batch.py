@@ -20,11 +20,10 @@ import gtsam
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
-from slamcmp.backends.gtsam_smoothers.factors import landmark_key, pose_key
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit, require_majority
+from slamcmp.backends.gtsam_smoothers.factors import pose_key
 from slamcmp.backends.gtsam_smoothers.graph import (
     GraphBuilder,
-    RobustKernel,
     diverged,
     poses_in,
     require_finite,
@@ -32,6 +31,7 @@ from slamcmp.backends.gtsam_smoothers.graph import (
 )
 from slamcmp.backends.gtsam_smoothers.incremental import IncrementalSolver, isam2_parameters
 from slamcmp.backends.gtsam_smoothers.linear_start import Edges
+from slamcmp.backends.robust import RobustKernel
 from slamcmp.errors import DivergedError
 from slamcmp.geometry import adjoint, inverse
 from slamcmp.registry import back_ends
@@ -97,6 +97,8 @@ class Batch:
         self._max_chi2_per_dof = max_chi2_per_dof
         self._final_covariances = final_covariances
         self._graph = gtsam.NonlinearFactorGraph()
+        self._solving = self._graph
+        """The graph as it is minimised: with ``gnc`` under one of its kernels."""
         self._chain = gtsam.Values()
         self._incremental: IncrementalSolver | None = None
         if warm_start == "isam2":
@@ -106,7 +108,9 @@ class Batch:
                 factorization="cholesky",
                 optimizer="gauss_newton",
             )
-            self._incremental = IncrementalSolver("batch", self._builder.space_dim, parameters)
+            self._incremental = IncrementalSolver(
+                "batch", self._builder.space_dim, parameters, narrowing=self._builder.narrowing
+            )
         self._edges = Edges() if warm_start == "linear" else None
         self._entered: dict[int, int] = {}
         """Of ``linear``: the frame in which each landmark entered."""
@@ -207,9 +211,14 @@ class Batch:
         what = f"batch, after {solution.iterations} iterations"
         if not solution.converged:
             what += " without convergence"
+        chi2, dof = solution.chi2, self._builder.goodness(solution.chi2)["dof"]
+        judged = self._builder.believed(solution.graph, solution.values)
+        if judged is not None:
+            require_majority(judged.outliers, judged.total, "batch")
+            chi2, dof = judged.chi2, dof - judged.rows
         require_fit(
-            solution.chi2,
-            self._builder.goodness(solution.chi2)["dof"],
+            chi2,
+            dof,
             self._max_chi2_per_dof,
             what,
             "start from warm_start 'isam2'",
@@ -221,12 +230,14 @@ class Batch:
         k = len(self._t) - 1
         self._builder.bring_back(initial, poses_in(initial, k + 1, self._builder.space_dim))
         try:
-            start_chi2 = 2.0 * self._graph.error(initial)
-            optimizer = self._make_optimizer(initial)
-            values, iterations = optimizer.optimize(), optimizer.iterations()
-            solution = _Solution(
-                self._graph, values, iterations, k, converged=iterations < self._max_iterations
-            )
+            values, iterations = initial, 0
+            narrowing = self._builder.narrowing
+            for graph in [self._graph] if narrowing is None else narrowing.stages(self._graph, initial):
+                start_chi2 = 2.0 * graph.error(values)
+                self._solving = graph
+                optimizer = self._make_optimizer(values)
+                values, iterations = optimizer.optimize(), optimizer.iterations()
+            solution = _Solution(graph, values, iterations, k, converged=iterations < self._max_iterations)
         except RuntimeError as error:
             raise diverged("batch", k, error) from error
         require_finite(poses_in(values, k + 1, self._builder.space_dim), "batch", k)
@@ -255,7 +266,7 @@ class Batch:
         seen_from_chain = self._builder.positions(self._chain, ids)
         positions = np.einsum("lij,lj->li", moved[:, :n, :n], seen_from_chain) + moved[:, :n, n]
         for landmark_id, position in zip(ids, positions, strict=True):
-            start.insert(landmark_key(landmark_id), self._builder.landmark_value(position))
+            start.insert(self._builder.key(landmark_id), self._builder.landmark_value(position))
         return start
 
     def _make_optimizer(self, initial: Any) -> Any:
@@ -269,7 +280,7 @@ class Batch:
         parameters.setMaxIterations(self._max_iterations)
         parameters.setRelativeErrorTol(self._relative_error_tol)
         parameters.setAbsoluteErrorTol(0.0)
-        return make(self._graph, initial, parameters)
+        return make(self._solving, initial, parameters)
 
 
 class _Solution:
@@ -280,7 +291,7 @@ class _Solution:
         self.converged = converged
         self.iterations = iterations
         self.chi2: float = 2.0 * graph.error(values)
-        self._graph = graph
+        self.graph = graph
         self._k = k
         self._marginals: Any = None
 
@@ -295,7 +306,7 @@ class _Solution:
     def _get_marginals(self) -> Any:
         if self._marginals is None:
             try:
-                self._marginals = gtsam.Marginals(self._graph, self.values)
+                self._marginals = gtsam.Marginals(self.graph, self.values)
             except RuntimeError as error:
                 raise diverged("batch", self._k, error) from error
         return self._marginals

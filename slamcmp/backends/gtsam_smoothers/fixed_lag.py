@@ -18,10 +18,16 @@ import gtsam
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
-from slamcmp.backends.gtsam_smoothers.factors import landmark_key, pose_key
-from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, RobustKernel, diverged, require_finite
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit, require_majority
+from slamcmp.backends.gtsam_smoothers.factors import pose_key
+from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, diverged, require_finite
 from slamcmp.backends.gtsam_smoothers.incremental import Factorization, isam2_parameters
+from slamcmp.backends.gtsam_smoothers.robust_factors import (
+    Narrowing,
+    is_observation,
+    replace_observations,
+)
+from slamcmp.backends.robust import RobustKernel
 from slamcmp.errors import UsageError
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, FloatArray, Frame, Landmarks, Problem, Trajectory
@@ -141,10 +147,13 @@ class FixedLag:
         now = float(k)
         # A variable's time stamp decides when it leaves; kept landmarks are always as new as the frame.
         stamped = seen if self._drop else self._last_seen
-        stamps = {landmark_key(landmark_id): now for landmark_id in stamped}
+        stamps = {self._builder.key(landmark_id): now for landmark_id in stamped}
         stamps[pose_key(k)] = now
         try:
-            self._smoother.update(graph, values, stamps)
+            if self._builder.narrowing is None:
+                self._smoother.update(graph, values, stamps)
+            else:
+                self._narrow(self._builder.narrowing, graph, values, stamps)
             for _ in range(self._extra_updates):
                 self._smoother.update()
             self._pose = self._pose_at(pose_key(k))
@@ -208,11 +217,43 @@ class FixedLag:
             scalars["reeliminated"] = float(result.getVariablesReeliminated())
         return {**scalars, **self._goodness}
 
+    def _narrow(self, narrowing: Narrowing, graph: Any, values: Any, stamps: dict[int, float]) -> None:
+        """Add the frame under the first kernel, then put its observations under one after the other."""
+        around = self._smoother.calculateEstimate()
+        around.insert(values)
+        stages = narrowing.stages(graph, around)
+
+        def replace(some: Any, places: list[int]) -> list[int]:
+            self._smoother.update(some, gtsam.Values(), {}, places)
+            return self._places(some)
+
+        self._smoother.update(stages[0], values, stamps)
+        replace_observations(stages, self._places(stages[0]), replace)
+
+    def _places(self, newest: Any) -> list[int]:
+        """Where the smoother keeps the factors that it was just given."""
+        if self._incremental:
+            return list(self._smoother.getISAM2Result().getNewFactorsIndices())
+        factors, key = self._smoother.getFactors(), pose_key(self._builder.next_frame - 1)
+        held = {}
+        for place in range(factors.size()):
+            factor = factors.at(place)
+            keys = () if factor is None else tuple(sorted(factor.keys()))
+            if key in keys:
+                held[keys, is_observation(factor)] = place
+        new = (newest.at(row) for row in range(newest.size()))
+        return [held.get((tuple(sorted(each.keys())), is_observation(each)), -1) for each in new]
+
     def _require_fit(self, values: Any) -> None:
         self._goodness = self._builder.goodness(2.0 * self._smoother.getFactors().error(values))
+        chi2, dof = self._goodness["chi2"], self._goodness["dof"]
+        judged = self._builder.believed(self._smoother.getFactors(), values)
+        if judged is not None:
+            require_majority(judged.outliers, judged.total, "fixed_lag")
+            chi2, dof = judged.chi2, dof - judged.rows
         require_fit(
-            self._goodness["chi2"],
-            self._goodness["dof"],
+            chi2,
+            dof,
             self._max_chi2_per_dof,
             "fixed_lag",
             "mode 'batch', or a smaller relinearize_threshold",
@@ -240,6 +281,6 @@ class FixedLag:
             self._builder.known.discard(landmark_id)
         leaving = [i for i, seen in self._last_seen.items() if seen == oldest]
         if leaving:
-            values = self._smoother.calculateEstimate([landmark_key(i) for i in leaving])
+            values = self._smoother.calculateEstimate([self._builder.key(i) for i in leaving])
             for landmark_id in leaving:
                 self._left[landmark_id] = self._builder.map(values, self._covariance, [landmark_id])

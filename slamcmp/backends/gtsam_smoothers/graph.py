@@ -16,26 +16,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import atan2
-from typing import Any, Literal
+from typing import Any
 
 import gtsam
 import numpy as np
 from gtsam import noiseModel
 
+from slamcmp.backends.doubtful import DoubtfulLandmarks
 from slamcmp.backends.entries import Entries, entering, placed, places_by_itself
 from slamcmp.backends.gtsam_smoothers.factors import NoiseCache, landmark_key, observation_factors, pose_key
+from slamcmp.backends.gtsam_smoothers.robust_factors import Believed, Narrowing, believed, robust_noise
+from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.backends.whitening import require_definite
 from slamcmp.errors import DivergedError, UsageError
 from slamcmp.models.camera import Camera
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.types import TANGENT_DIM, FloatArray, Frame, IntArray, Landmarks, Problem
 
-RobustKernel = Literal["none", "huber", "cauchy", "tukey"]
-"""What the norm of an observation's whitened residual goes through; odometry and prior stay quadratic."""
-
-_WIDTHS = {"huber": 1.345, "cauchy": 2.3849, "tukey": 4.6851}
-"""Widths with 95 % efficiency on Gaussian data (Zhang 1997, "Parameter estimation techniques", table 1)."""
-
+RESTARTED = 1 << 51
+"""Number of the first variable of a landmark that has started anew: above every id."""
 MOST_WITHOUT_IMAGE = 0.01
 """Largest share of observations that may be of landmarks behind the camera; each weighs as thousands."""
 
@@ -66,12 +65,20 @@ class GraphBuilder:
         self._between = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
         self._odometry_noise = NoiseCache(self._odometry_model)
         self._closure_noise = NoiseCache(noiseModel.Gaussian.Covariance)
-        wrap = _robust_wrapper(robust, robust_width)
+        self._kernel = robust_kernel(robust, robust_width)
+        self._doubtful = None if self._kernel is None else DoubtfulLandmarks(self._sensor)
+        self._variable: dict[int, int] = {}
+        """Numbers of the variables of landmarks that have started anew; others have their id's."""
+        self.narrowing: Narrowing | None = None
+        """Of ``gnc``, whose observations are Gaussian in the graphs of ``extend``."""
+        if self._kernel is not None and self._kernel.name == "gnc":
+            self.narrowing = Narrowing(self._kernel)
+        wrap = robust_noise(None if self.narrowing is not None else self._kernel)
         self._observations = observation_factors(self._sensor, wrap)
         self._entries = None
         if not places_by_itself(self._sensor):
             self._entries = observation_factors(self._entry_sensor, wrap)
-        self._rows = 0
+        self._rows, self._restarts = 0, 0
 
     def extend(self, frame: Frame, previous: Any) -> tuple[Any, Any]:
         """The frame's factors, and initial values for its pose and for landmarks seen the first time.
@@ -89,6 +96,12 @@ class GraphBuilder:
             )
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         key = pose_key(k)
+        if self._doubtful is not None:
+            for landmark_id in self._doubtful.contradicted(frame, self.known):
+                # What was seen of it so far stays with the old variable, which nothing else is tied to.
+                self.known.discard(landmark_id)
+                self._variable[landmark_id] = RESTARTED + self._restarts
+                self._restarts += 1
         if k == 0:
             predicted = self._prior
             graph.add(self._prior_factor(key, predicted, noiseModel.Gaussian.Covariance(self._prior_P)))
@@ -103,6 +116,15 @@ class GraphBuilder:
         self._rows += TANGENT_DIM[self.space_dim]
         return graph, values
 
+    def key(self, landmark_id: int) -> int:
+        """GTSAM's key of the landmark's variable."""
+        number = self._variable.get(landmark_id)
+        return landmark_key(landmark_id) if number is None else landmark_key(0) + number
+
+    def believed(self, graph: Any, values: Any) -> Believed | None:
+        """With a kernel, what the solution ``values`` of the whole graph believes."""
+        return None if self._kernel is None else believed(graph, values, self._kernel)
+
     def landmark_ids(self) -> list[int]:
         """Ids of the landmarks in the graph, sorted."""
         return sorted(self.known)
@@ -110,14 +132,14 @@ class GraphBuilder:
     def map(self, values: Any, covariance: Callable[[int], FloatArray], ids: list[int]) -> Landmarks:
         """The landmarks ``ids`` from GTSAM values and a function from a key to its marginal covariance."""
         n, how = self.space_dim, self._observations
-        covariances = np.array([covariance(landmark_key(i))[how.position, how.position] for i in ids])
+        covariances = np.array([covariance(self.key(i))[how.position, how.position] for i in ids])
         return Landmarks(
             np.array(ids, dtype=np.int64), self.positions(values, ids), covariances.reshape(-1, n, n)
         )
 
     def positions(self, values: Any, ids: list[int]) -> FloatArray:
         """Where the landmarks ``ids`` are, (m, n), in GTSAM values."""
-        found = [self._observations.position_of(values, landmark_key(i)) for i in ids]
+        found = [self._observations.position_of(values, self.key(i)) for i in ids]
         return np.array(found).reshape(-1, self.space_dim)
 
     def landmark_value(self, position: FloatArray) -> Any:
@@ -130,7 +152,7 @@ class GraphBuilder:
         ``covariance`` maps keys to their joint marginal covariance, blocks in the order of the keys.
         """
         p, how = TANGENT_DIM[self.space_dim], self._observations
-        full = covariance([pose_key(k), *(landmark_key(i) for i in ids)])
+        full = covariance([pose_key(k), *(self.key(i) for i in ids)])
         position = np.arange(how.tangent)[how.position]
         starts = p + how.tangent * np.arange(len(ids))
         kept = np.concatenate([np.arange(p), (starts[:, None] + position).ravel()])
@@ -139,7 +161,8 @@ class GraphBuilder:
 
     def goodness(self, chi2: float) -> dict[str, float]:
         """``chi2, dof, chi2_per_dof`` (NaN where dof is 0) of the whole cost so far."""
-        unknowns = TANGENT_DIM[self.space_dim] * self.next_frame + self.space_dim * len(self.known)
+        landmarks = len(self.known) + self._restarts
+        unknowns = TANGENT_DIM[self.space_dim] * self.next_frame + self.space_dim * landmarks
         dof = self._rows - unknowns
         return {"chi2": chi2, "dof": float(dof), "chi2_per_dof": chi2 / dof if dof > 0 else float("nan")}
 
@@ -171,7 +194,7 @@ class GraphBuilder:
         frames = {pose_key(k): k for k in range(len(poses))}
         chi2, rows = 0.0, 0
         for landmark_id in hidden:
-            key, position = landmark_key(landmark_id), self.positions(values, [landmark_id])
+            key, position = self.key(landmark_id), self.positions(values, [landmark_id])
             for factor in (graph.at(index) for index in range(graph.size())):
                 keys = factor.keys()
                 if key not in keys:
@@ -189,7 +212,7 @@ class GraphBuilder:
         """
         for landmark_id in np.unique(self._hidden(values, poses)[0]).tolist():
             k, z = self._entered[landmark_id]
-            values.update(landmark_key(landmark_id), self._entry_sensor.invert(poses[k], z))
+            values.update(self.key(landmark_id), self._entry_sensor.invert(poses[k], z))
 
     def _hidden(self, values: Any, poses: FloatArray) -> tuple[IntArray, int]:
         """Landmark of each observation from the last poses that has no image, and how many there are."""
@@ -238,11 +261,18 @@ class GraphBuilder:
             self.dropped = entries.dropped
         else:
             self.dropped = 0
-        for factor in self._observations.factors(key, sights):
+        for factor in self._observations.factors(key, self._by_variable(sights)):
             graph.add(factor)
         self._rows += sights.z.size
         if isinstance(self._sensor, Camera):
             self._sights.append(sights.ids)
+
+    def _by_variable(self, sights: Frame) -> Frame:
+        """The observations with the numbers of their landmarks' variables for ids."""
+        if not self._variable:
+            return sights
+        numbers = [self._variable.get(landmark_id, landmark_id) for landmark_id in sights.ids.tolist()]
+        return replace(sights, ids=np.array(numbers, dtype=np.int64))
 
     def _start(self, graph: Any, values: Any, predicted: Any, entries: Entries) -> None:
         known, how = self.known, self._observations
@@ -250,7 +280,7 @@ class GraphBuilder:
             return
         positions = placed(self._entry_sensor, predicted.matrix(), entries, self.next_frame)
         for landmark_id, position in zip(entries.ids.tolist(), positions, strict=True):
-            key = landmark_key(landmark_id)
+            key = self.key(landmark_id)
             values.insert(key, how.value(position))
             pin = how.pin(key, position)
             if pin is not None:
@@ -307,17 +337,3 @@ def to_gtsam(T: FloatArray) -> Any:
     if T.shape[0] == 3:
         return gtsam.Pose2(T[0, 2], T[1, 2], atan2(T[1, 0], T[0, 0]))
     return gtsam.Pose3(T)
-
-
-def _robust_wrapper(kernel: RobustKernel, width: float | None) -> Callable[[Any], Any]:
-    if kernel == "none":
-        if width is not None:
-            raise UsageError("robust_width has no meaning without a kernel: set robust, or drop robust_width")
-        return lambda model: model
-    kinds = {
-        "huber": noiseModel.mEstimator.Huber,
-        "cauchy": noiseModel.mEstimator.Cauchy,
-        "tukey": noiseModel.mEstimator.Tukey,
-    }
-    estimator = kinds[kernel](_WIDTHS[kernel] if width is None else width)
-    return lambda model: noiseModel.Robust(estimator, model)

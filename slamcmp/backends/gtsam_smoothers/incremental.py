@@ -12,6 +12,7 @@ import gtsam
 
 from slamcmp.backends.gtsam_smoothers.factors import pose_key
 from slamcmp.backends.gtsam_smoothers.graph import diverged, require_finite
+from slamcmp.backends.gtsam_smoothers.robust_factors import Narrowing, replace_observations
 from slamcmp.types import FloatArray
 
 Factorization = Literal["cholesky", "qr"]
@@ -54,9 +55,18 @@ class IncrementalSolver:
         space_dim: n.
         parameters: from :func:`isam2_parameters`.
         extra_updates: further ``update`` calls a frame, each one more Gauss-Newton step.
+        narrowing: what the graphs' observations go through; None: they come as they are to be.
     """
 
-    def __init__(self, name: str, space_dim: int, parameters: Any, *, extra_updates: int = 0) -> None:
+    def __init__(
+        self,
+        name: str,
+        space_dim: int,
+        parameters: Any,
+        *,
+        extra_updates: int = 0,
+        narrowing: Narrowing | None = None,
+    ) -> None:
         self.k = -1
         self.pose: Any = None
         """GTSAM pose of the newest frame, causal."""
@@ -64,6 +74,7 @@ class IncrementalSolver:
         """``ISAM2Result`` of the last update."""
         self._name = name
         self._extra_updates = extra_updates
+        self._narrowing = narrowing
         self._isam = gtsam.ISAM2(parameters)
         self._pose_at = (
             self._isam.calculateEstimatePose2 if space_dim == 2 else self._isam.calculateEstimatePose3
@@ -77,7 +88,10 @@ class IncrementalSolver:
         """
         self.k += 1
         try:
-            self.result = self._isam.update(graph, values)
+            if self._narrowing is None:
+                self.result = self._isam.update(graph, values)
+            else:
+                self._narrow(self._narrowing, graph, values)
             for _ in range(self._extra_updates):
                 self.result = self._isam.update()
             self.pose = self._pose_at(pose_key(self.k))
@@ -108,6 +122,19 @@ class IncrementalSolver:
             if not result.getVariablesRelinearized() or abs(last - chi2) <= STANDS_STILL * (1.0 + chi2):
                 return chi2, True
         return chi2, False
+
+    def _narrow(self, narrowing: Narrowing, graph: Any, values: Any) -> None:
+        """Add the frame under the first kernel, then put its observations under one after the other."""
+        around = self._isam.calculateEstimate()
+        around.insert(values)
+        stages = narrowing.stages(graph, around)
+
+        def replace(some: Any, places: list[int]) -> list[int]:
+            self.result = self._isam.update(some, gtsam.Values(), places, force_relinearize=True)
+            return list(self.result.getNewFactorsIndices())
+
+        self.result = self._isam.update(stages[0], values)
+        replace_observations(stages, list(self.result.getNewFactorsIndices()), replace)
 
     def pose_matrix(self) -> FloatArray:
         """``T_world_body`` of the newest frame."""

@@ -17,15 +17,16 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit, require_majority
 from slamcmp.backends.gtsam_smoothers.factors import pose_key
-from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, RobustKernel, poses_in, require_finite
+from slamcmp.backends.gtsam_smoothers.graph import GraphBuilder, poses_in, require_finite
 from slamcmp.backends.gtsam_smoothers.incremental import (
     Factorization,
     IncrementalOptimizer,
     IncrementalSolver,
     isam2_parameters,
 )
+from slamcmp.backends.robust import RobustKernel
 from slamcmp.registry import back_ends
 from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, Trajectory
 
@@ -78,7 +79,11 @@ class Isam2:
         )
         self._builder = GraphBuilder(problem, robust=robust, robust_width=robust_width)
         self._solver = IncrementalSolver(
-            "isam2", self._builder.space_dim, parameters, extra_updates=extra_updates
+            "isam2",
+            self._builder.space_dim,
+            parameters,
+            extra_updates=extra_updates,
+            narrowing=self._builder.narrowing,
         )
         self._final_covariances = final_covariances
         self._t: list[float] = []
@@ -138,6 +143,10 @@ class Isam2:
         if self._behind:
             constant, rows = self._builder.cost_without_image(self._solver.graph(), values, poses)
             chi2, dof = chi2 - constant, dof - rows
+        judged = self._builder.believed(self._solver.graph(), values)
+        if judged is not None:
+            require_majority(judged.outliers, judged.total, "isam2")
+            chi2, dof = judged.chi2, dof - judged.rows
         require_fit(
             chi2,
             dof,

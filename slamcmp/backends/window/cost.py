@@ -21,6 +21,7 @@ J_r       right Jacobian of the group (Solà 2018, eq. 67)
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,7 @@ import numpy as np
 from slamcmp.backends.sights import Measurements, Sights
 from slamcmp.backends.window.marginalisation import Quadratic
 from slamcmp.geometry import adjoint, change_of_axes, inverse, log, right_jacobian
-from slamcmp.types import FloatArray, IntArray
+from slamcmp.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass
@@ -93,7 +94,12 @@ class ObservationTerms:
             np.concatenate([self.b, other.b]),
         )
 
-    def of(self, rows: slice) -> ObservationTerms:
+    def weighted(self, weights: FloatArray) -> ObservationTerms:
+        """Each row's noise R becoming R / w, w (M,)."""
+        root = np.sqrt(weights)[:, None, None]
+        return ObservationTerms(root * self.H_pose, root * self.H_land, root[:, 0] * self.b)
+
+    def of(self, rows: slice | BoolArray) -> ObservationTerms:
         """These rows."""
         return ObservationTerms(self.H_pose[rows], self.H_land[rows], self.b[rows])
 
@@ -161,6 +167,12 @@ def observation_terms(
     return ObservationTerms(W @ H_pose, W @ H_land, np.einsum("mij,mj->mi", W, residual))
 
 
+def lengths(b: FloatArray) -> FloatArray:
+    """Of whitened residuals (M, d), (M,)."""
+    found: FloatArray = np.sqrt((b**2).sum(axis=1))
+    return found
+
+
 def squared_residuals(
     sights: Sights,
     T: FloatArray,
@@ -170,12 +182,17 @@ def squared_residuals(
     landmarks: FloatArray,
     z: FloatArray,
     W: FloatArray,
+    price: Callable[[FloatArray], FloatArray] | None = None,
 ) -> float:
-    """Sum of squares of the whitened residuals of all increments and observations, without Jacobians."""
+    """Sum of squares of the whitened residuals of all increments and observations, without Jacobians.
+
+    ``price`` says what an observation costs whose residual has the length r (M,), where that is not r².
+    """
     steps = log(inverse(increments) @ inverse(T[:-1]) @ T[1:])
     errors = sights.errors(T_seen_from, landmarks, z)
     total = (np.einsum("kij,kj->ki", odometry_W, steps) ** 2).sum()
-    total += (np.einsum("mij,mj->mi", W, errors) ** 2).sum()
+    whitened = np.einsum("mij,mj->mi", W, errors)
+    total += (whitened**2).sum() if price is None else price(lengths(whitened)).sum()
     return float(total)
 
 

@@ -33,10 +33,13 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
+from slamcmp.backends.doubtful import DoubtfulLandmarks
 from slamcmp.backends.entries import entering, has_blind_side, placed, places_by_itself, with_image
-from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit
+from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit, require_majority
 from slamcmp.backends.relaxation import relaxed_share
+from slamcmp.backends.robust import DOUBTED, Kernel, RobustKernel, robust_kernel
 from slamcmp.backends.unanchored import Linearisation
+from slamcmp.backends.window.cost import lengths
 from slamcmp.backends.window.gauss_newton import GaussNewtonStep
 from slamcmp.backends.window.unanchored import UnanchoredWindow
 from slamcmp.backends.window.window import Policy, Window
@@ -45,6 +48,10 @@ from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Landmarks, Prob
 
 HALVINGS = 8
 """Most halvings of a step that raises the cost; what is left then moves nothing, and ends the frame."""
+STAGE_ITERATIONS = 2
+"""Under each kernel before the last, which only has to come near."""
+REWEIGHTED = 3
+"""So many times the iterations under the last one, whose weights converge linearly."""
 
 
 @back_ends.register("sliding_window")
@@ -58,7 +65,8 @@ class SlidingWindow:
     Args:
         problem: prior and sensor (planar or spatial).
         window: poses kept, the current one included; null keeps all (full smoothing).
-        iterations: most Gauss-Newton iterations a frame; if more than one, a step after one that jumped over
+        iterations: most Gauss-Newton iterations a frame (with a kernel three times as many, unless it is one:
+            weights settle slowly); if more than one, a step after one that jumped over
             the minimum is shortened, and a step that would raise the cost is halved until it does not.
         tolerance: iterations end when no component of a whole step [m, rad] is larger.
         linearisation: where Jacobians are taken. "latest": at the current estimate. "fej": variables that
@@ -68,6 +76,11 @@ class SlidingWindow:
             has seen; seen again, they start anew (where one measurement does not place a landmark, as a
             single camera's does not, what is measured of it is dropped, and counted).
         max_chi2_per_dof: as in ``batch``: a final solution above it counts as diverged.
+        robust: kernel on the observations' whitened residuals (robust.py): each iteration takes the weights
+            of the residuals where it begins, the newest frame's under one kernel after the other where the
+            kernel is not convex. A pose leaves with the weights that its observations had then; a landmark
+            whose second sighting contradicts its first starts anew (doubtful.py).
+        robust_width: of the kernel; default the width with 95 % efficiency on Gaussian noise.
 
     Raises:
         UsageError: the prior or an odometry covariance is singular.
@@ -86,12 +99,18 @@ class SlidingWindow:
         linearisation: Policy = "latest",
         landmarks: Literal["keep", "drop_unseen"] = "keep",
         max_chi2_per_dof: Annotated[float, Gt(0)] = MAX_CHI2_PER_DOF,
+        robust: RobustKernel = "none",
+        robust_width: Annotated[float, Gt(0)] | None = None,
     ) -> None:
-        self._window = Window(problem, linearisation)
+        self._kernel = robust_kernel(robust, robust_width)
+        self._doubtful = None if self._kernel is None else DoubtfulLandmarks(problem.sensor)
+        self._restarted = 0
+        self._window = Window(problem, linearisation, self._kernel)
         self._length = window
         self._iterations, self._tolerance = iterations, tolerance
         self._frozen = linearisation == "frozen"
-        self._one_step = iterations == 1 or self._frozen
+        # Weights take more than one step, even of a cost that is linear.
+        self._one_step = iterations == 1 or (self._frozen and self._kernel is None)
         self._drop_unseen = landmarks == "drop_unseen"
         self._max_chi2_per_dof = max_chi2_per_dof
         self._solution: Solution
@@ -110,6 +129,11 @@ class SlidingWindow:
     def construct(self, frame: Frame) -> None:
         """The frame's pose, and its observations, with new landmarks where the predicted pose sees them."""
         window, sensor = self._window, self._window.sights.sensor
+        if self._doubtful is not None:
+            again = self._doubtful.contradicted(frame, window.number)
+            self._restarted = len(again)
+            # Each was in the state by a single measurement, which is gone with it.
+            window.forget(again)
         if frame.k > 0:
             window.append_pose(frame)
         self._t.append(frame.t)
@@ -142,15 +166,29 @@ class SlidingWindow:
 
     def solve(self) -> None:
         """Gauss-Newton from the predicted state until the step is small enough."""
-        window = self._window
         self._chi2 = None
+        if self._kernel is None:
+            self._iterate(None, 0, self._iterations)
+            return
+        done, most = 0, self._iterations if self._one_step else REWEIGHTED * self._iterations
+        *others, last = self._kernel.stages(self._largest_residual())
+        for kernel in others:
+            done = self._iterate(kernel, done, min(STAGE_ITERATIONS, most))
+        self._iterate(last, done, most)
+
+    def _iterate(self, kernel: Kernel | None, done: int, most: int) -> int:
+        """At most so many iterations with the newest frame's observations under a kernel, after ``done``."""
+        window = self._window
         last_step: FloatArray | None = None
         share = 1.0
-        for iteration in range(1, self._iterations + 1):
+        iteration = done
+        for iteration in range(done + 1, done + most + 1):
             if not self._frozen:
                 window.linearise()
             if iteration == 1:
                 window.require_near_points(len(self._t) - 1)
+            if kernel is not None:
+                window.reweigh(kernel)
             step = window.gauss_newton_step()
             whole_step = np.concatenate([step.pose_step.ravel(), step.landmark_step.ravel()])
             first_try = relaxed_share(whole_step, last_step, share)
@@ -160,6 +198,7 @@ class SlidingWindow:
             # A step that was halved to nothing would only be computed once more.
             if self._solution.last_step < self._tolerance or share <= first_try * 0.5**HALVINGS:
                 break
+        return iteration
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
@@ -187,9 +226,13 @@ class SlidingWindow:
             DivergedError: chi-square per dof is above ``max_chi2_per_dof``.
         """
         what = "sliding_window" if self._converged() else "sliding_window, without convergence"
-        require_fit(
-            self._chi_square(), self._dof, self._max_chi2_per_dof, what, "a longer window, more iterations"
-        )
+        chi2, dof = self._chi_square(), self._dof
+        robust = self._window.robust
+        if robust is not None:
+            of_outliers, outliers, total = robust.of_outliers(lengths(self._window.cost.observations.b))
+            require_majority(outliers, total, "sliding_window")
+            chi2, dof = chi2 - of_outliers, dof - outliers * self._window.sights.sensor.dim
+        require_fit(chi2, dof, self._max_chi2_per_dof, what, "a longer window, more iterations")
         poses = [T for T, _ in self._left] + list(self._window.T)
         covariances = [P for _, P in self._left] + list(self._solution.pose_covariances())
         return Trajectory(np.array(self._t), np.array(poses), np.array(covariances))
@@ -201,7 +244,9 @@ class SlidingWindow:
 
         Chi-square is that of all measurements so far: of the window's residuals at the estimate, plus what
         marginalisation left over. Where each frame is one linear step, with a single iteration or frozen
-        Jacobians, it is that of the linear residuals: for window 1 the sum of the NIS.
+        Jacobians, it is that of the linear residuals: for window 1 the sum of the NIS. With a kernel it is
+        what the residuals cost, and told are also the smallest weight of an observation in the window, how
+        many it ``downweighted`` to less than a half, and how many landmarks were ``restarted``.
         """
         told = {
             "landmarks": len(self._window.number),
@@ -211,6 +256,11 @@ class SlidingWindow:
             "dof": self._dof,
             "dropped": self._dropped,
         }
+        robust = self._window.robust
+        if robust is not None:
+            told["smallest_weight"] = robust.weights.min(initial=1.0)
+            told["downweighted"] = int((robust.weights < DOUBTED).sum())
+            told["restarted"] = self._restarted
         return told if self._one_step else {**told, "converged": float(self._converged())}
 
     def record_linearisation(self) -> None:
@@ -221,7 +271,7 @@ class SlidingWindow:
         """What the last solve's linear system claims about the pose, and where its Jacobians were taken."""
         assert self._unanchored is not None
         window, rows = self._window, self._window.measurements
-        root, scale = self._unanchored.told(window.cost, rows)
+        root, scale = self._unanchored.told(window.weighted_cost(), rows)
         numbers = rows.landmark_of[rows.pose_of == len(window.T) - 1]
         if not numbers.size:
             return Linearisation(root, scale)
@@ -241,6 +291,14 @@ class SlidingWindow:
         exists = with_image(window.sights.sensor.predict(window.T[-1], seen), frame.k)
         return exists.size - int(exists.sum())
 
+    def _largest_residual(self) -> float:
+        """Of the newest frame's observations where its solve begins, whitened."""
+        window = self._window
+        if not self._frozen:
+            window.linearise()
+        newest = window.measurements.pose_of == len(window.T) - 1
+        return float(lengths(window.cost.observations.b[newest]).max(initial=0.0))
+
     def _converged(self) -> bool:
         return self._one_step or self._solution.last_step < self._tolerance
 
@@ -251,9 +309,11 @@ class SlidingWindow:
 
     def _share_of(self, step: GaussNewtonStep, share: float) -> float:
         """``share``, or less where it would raise the cost; a single iteration is never questioned."""
-        if self._one_step:
+        if self._one_step or self._frozen:
             return 1.0
-        bound = self._window.cost.value * (1.0 + 1e-9) + 1e-9
+        # Under a kernel the squares of the linear cost are not what the residuals cost.
+        now = self._window.cost.value if self._kernel is None else self._window.chi_square()
+        bound = now * (1.0 + 1e-9) + 1e-9
         for _ in range(HALVINGS):
             if self._window.cost_after(share * step.pose_step, share * step.landmark_step) <= bound:
                 break

@@ -53,8 +53,10 @@ class UnanchoredWindow(WindowListener):
 
     def dropped(self, landmarks: IntArray, n: int) -> None:
         """Marginalise the landmarks out of the prior."""
-        p, R = self._p, self._prior
+        p, R = self._p, self._linear
         known = landmarks[p + n * (landmarks + 1) <= R.shape[1]]
+        if not known.size:
+            return
         states = (p + n * known[:, None] + np.arange(n)).ravel()
         keep = np.setdiff1d(np.arange(R.shape[1]), states)
         R = triangular(R[:, np.concatenate([states, keep])])

@@ -21,12 +21,14 @@ import numpy as np
 
 from slamcmp.backends.entries import places_by_itself
 from slamcmp.backends.far_points import FarPoints
+from slamcmp.backends.robust import Kernel
 from slamcmp.backends.sights import Measurements, Sights, padded
 from slamcmp.backends.whitening import whitener, whiteners
 from slamcmp.backends.window.cost import (
     LinearCost,
     ObservationTerms,
     OdometryTerms,
+    lengths,
     observation_terms,
     odometry_terms,
     oldest_pose_cost,
@@ -34,6 +36,7 @@ from slamcmp.backends.window.cost import (
 )
 from slamcmp.backends.window.gauss_newton import GaussNewtonStep
 from slamcmp.backends.window.marginalisation import Prior, Quadratic
+from slamcmp.backends.window.robust_weights import RobustWeights
 from slamcmp.geometry import retract_in_world_axes
 from slamcmp.models.sensors import entry_sensor
 from slamcmp.types import BoolArray, FloatArray, Frame, IntArray, Problem
@@ -89,12 +92,13 @@ class Window:
     Args:
         problem: prior and sensor (planar or spatial).
         policy: where Jacobians are taken.
+        kernel: of the observations; None: they are quadratic.
 
     Raises:
         UsageError: the prior is singular.
     """
 
-    def __init__(self, problem: Problem, policy: Policy) -> None:
+    def __init__(self, problem: Problem, policy: Policy, kernel: Kernel | None = None) -> None:
         self.sights = Sights(problem.sensor, entry_sensor(problem.sensor))
         n, d, p = problem.sensor.space_dim, self.sights.dim, problem.P.shape[0]
         self.n, self.p = n, p
@@ -106,6 +110,7 @@ class Window:
         self.points = LinearisationPoints(self.T, self.landmarks, policy == "fej")
         self._far = FarPoints()
         self.listener = WindowListener()
+        self.robust = None if kernel is None else RobustWeights(kernel, d)
 
         W = whitener(problem.P, "the prior covariance Problem.P")
         start = Quadratic(W.T @ W, np.zeros(p))
@@ -153,6 +158,8 @@ class Window:
         pose_of = np.full(ids.size, len(self.T) - 1)
         new = Measurements(z, W, pose_of, self.numbers_of(ids), np.full(ids.size, entering))
         self.measurements = self.measurements.followed_by(new)
+        if self.robust is not None:
+            self.robust.append(ids.size)
 
     def numbers_of(self, ids: IntArray) -> IntArray:
         """Numbers (m,) of the landmarks with these ids (m,)."""
@@ -192,13 +199,27 @@ class Window:
         new = self._observation_terms(slice(len(self.cost.observations.b), None))
         self.cost.observations = self.cost.observations.followed_by(new)
 
+    def reweigh(self, kernel: Kernel) -> None:
+        """Weights of the residuals as the cost has them, the newest pose's under ``kernel``."""
+        if self.robust is not None:
+            newest = self.measurements.pose_of == len(self.T) - 1
+            self.robust.reweigh(lengths(self.cost.observations.b), newest, kernel)
+
+    def weighted_cost(self) -> LinearCost:
+        """The linear cost with every observation's noise as its weight makes it."""
+        if self.robust is None:
+            return self.cost
+        # The newest observations may not be in the cost yet.
+        weights = self.robust.weights[: len(self.cost.observations.b)]
+        return replace(self.cost, observations=self.cost.observations.weighted(weights))
+
     def gauss_newton_step(self) -> GaussNewtonStep:
         """The minimum of the linear cost.
 
         Raises:
             DivergedError: the information matrix is not positive definite, or not finite.
         """
-        cost, rows = self.cost, self.measurements
+        cost, rows = self.weighted_cost(), self.measurements
         return GaussNewtonStep(
             cost.prior,
             cost.odometry,
@@ -227,6 +248,7 @@ class Window:
             landmarks[rows.landmark_of],
             rows.z,
             rows.W,
+            None if self.robust is None else self.robust.price,
         )
 
     def move(self, pose_step: FloatArray, landmark_step: FloatArray) -> FloatArray:
@@ -247,8 +269,10 @@ class Window:
         Raises:
             DivergedError: the pose is not determined.
         """
-        rows, cost = self.measurements, self.cost
+        rows, cost = self.measurements, self.weighted_cost()
         leaving = rows.from_first_pose()
+        if self.robust is not None:
+            self.robust.leave(leaving, lengths(self.cost.observations.b))
         quadratic, known = oldest_pose_cost(
             cost.prior, cost.odometry, cost.observations.of(slice(leaving)), rows.landmark_of[:leaving]
         )
@@ -257,7 +281,7 @@ class Window:
         self.T, self.points.T = self.T[1:], self.points.T[1:]
         self._increments, self._odometry_W = self._increments[1:], self._odometry_W[1:]
         self.cost = LinearCost(
-            quadratic, cost.odometry.of(slice(1, None)), cost.observations.of(slice(leaving, None))
+            quadratic, cost.odometry.of(slice(1, None)), self.cost.observations.of(slice(leaving, None))
         )
         rows = rows.of(slice(leaving, None))
         self.measurements = rows.renumbered(rows.pose_of - 1, rows.landmark_of)
@@ -272,17 +296,42 @@ class Window:
         rows = self.measurements
         seen = np.zeros(len(self.landmarks), dtype=bool)
         seen[rows.landmark_of] = True
-        if seen.all():
+        if not seen.all():
+            self._keep(seen)
+
+    def forget(self, ids: list[int]) -> None:
+        """Take these landmarks out of the window, with all that was measured of them.
+
+        The linear cost loses them at once, the prior when it is next centred.
+
+        Raises:
+            DivergedError: a landmark is not determined.
+        """
+        if not ids:
             return
-        unseen = np.flatnonzero(~seen)
-        states = (self.p + self.n * unseen[:, None] + np.arange(self.n)).ravel()
-        self.cost.prior = self.cost.prior.eliminated(states)
-        self.listener.dropped(unseen, self.n)
-        self.landmarks, self.points.landmarks = self.landmarks[seen], self.points.landmarks[seen]
-        self.measurements = rows.renumbered(rows.pose_of, (np.cumsum(seen) - 1)[rows.landmark_of])
-        self.points.landmarks_pinned -= unseen.size
+        stays = np.ones(len(self.landmarks), dtype=bool)
+        stays[self.numbers_of(np.array(ids))] = False
+        rows = stays[self.measurements.landmark_of]
+        self.measurements = self.measurements.of(rows)
+        self.cost.observations = self.cost.observations.of(rows)
+        if self.robust is not None:
+            self.robust.keep(rows)
+        self._keep(stays)
+
+    def _keep(self, stays: BoolArray) -> None:
+        """Marginalise the landmarks that are not marked (L,) and that no observation is of."""
+        rows = self.measurements
+        gone = np.flatnonzero(~stays)
+        in_prior = gone[self.p + self.n * gone < self.cost.prior.eta.size]
+        states = (self.p + self.n * in_prior[:, None] + np.arange(self.n)).ravel()
+        if states.size:
+            self.cost.prior = self.cost.prior.eliminated(states)
+        self.listener.dropped(gone, self.n)
+        self.landmarks, self.points.landmarks = self.landmarks[stays], self.points.landmarks[stays]
+        self.measurements = rows.renumbered(rows.pose_of, (np.cumsum(stays) - 1)[rows.landmark_of])
+        self.points.landmarks_pinned -= in_prior.size
         ids = list(self.number)
-        self.number = {ids[old]: new for new, old in enumerate(np.flatnonzero(seen).tolist())}
+        self.number = {ids[old]: new for new, old in enumerate(np.flatnonzero(stays).tolist())}
 
     def centre_prior(self) -> None:
         """Let the linear prior be the prior from now on, about the current estimate."""

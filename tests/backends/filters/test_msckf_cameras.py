@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
-from slamcmp.backends.filters.msckf import Msckf, triangulate
+from slamcmp.backends.filters.msckf import Msckf
+from slamcmp.backends.filters.triangulation import triangulate
 from slamcmp.backends.sights import Sights
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.models.sensors import entry_sensor
