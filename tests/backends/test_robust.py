@@ -1,4 +1,4 @@
-"""Kernels: each weight is its cost's derivative, GTSAM has the same ones, and the widths are what they claim."""
+"""Kernels: each weight is its cost's derivative, GTSAM has the same, and the widths are what they claim."""
 
 from __future__ import annotations
 

@@ -185,5 +185,5 @@ def test_a_fifth_of_ghosts_costs_less_than_without_kernel(kind: Any, name: str) 
 
 def test_postponed_updates_take_no_kernel() -> None:
     stream, _, _ = toy_stream(frames=2)
-    with pytest.raises(UsageError, match="active_landmarks .* robust"):
+    with pytest.raises(UsageError, match=r"active_landmarks .* robust"):
         EkfSlam(stream.problem, active_landmarks=5, robust="huber")
