@@ -234,9 +234,13 @@ def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_p
         "consistency",
         "dial",
         "errors",
+        "frontier",
+        "gain",
+        "honesty",
         "images",
         "kl_from_batch",
         "observability",
+        "regimes",
         "sweep",
     }
     assert "no truth" in files.skipped["errors"]
