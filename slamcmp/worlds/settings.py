@@ -11,9 +11,11 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Interval
 
 from slamcmp.errors import UsageError
+from slamcmp.worlds.outliers import OutlierRates
 
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
+Share = Annotated[float, Interval(ge=0, le=1)]
 
 SensorName = Literal["range_bearing", "relative_position"]
 OdometryName = Literal["unicycle", "straight_then_turn", "bicycle", "encoders"]
@@ -53,6 +55,19 @@ class Settings:
     outlier_fraction: Annotated[float, Interval(ge=0, le=1)] = 0.0
     """Share of the detections that are replaced by a uniform draw from the field of view."""
 
+    wrong_association_fraction: Share = 0.0
+    """Share of the detections that measure another landmark of the same frame than their label says."""
+    clutter_per_frame: NotNegative = 0.0
+    """Mean number of ghosts a frame: draws from the field of view under labels of landmarks out of sight."""
+    burst_probability: Share = 0.0
+    """Chance that a burst begins with a frame: all that is seen in it is a draw from the field of view."""
+    burst_frames: Annotated[int, Ge(1)] = 5
+    """Frames that a burst lasts."""
+    slip_probability: Share = 0.0
+    """Chance that the wheels slip in a step: they turn further than the robot moves, and Q does not know."""
+    slip_share: NotNegative = 0.5
+    """How much further, as a share of the step; of ``encoders`` the left wheel's alone."""
+
     odometry: OdometryName = "unicycle"
     speed_sigma_m_s: NotNegative = 0.03
     turn_sigma_deg_s: NotNegative = 0.5
@@ -79,6 +94,17 @@ class Settings:
     """Multiplies every sigma above, the prior's too: to study noise going to 0 (with resolution 0)."""
     resolution: NotNegative = 1e-9
     """What the sensors' numbers are rounded to, so that two machines' last bits agree; 0 keeps all bits."""
+
+    def outlier_rates(self) -> OutlierRates:
+        """What goes wrong on purpose, besides ``outlier_fraction``."""
+        return OutlierRates(
+            wrong_association_fraction=self.wrong_association_fraction,
+            clutter_per_frame=self.clutter_per_frame,
+            burst_probability=self.burst_probability,
+            burst_frames=self.burst_frames,
+            slip_probability=self.slip_probability,
+            slip_share=self.slip_share,
+        )
 
     def __post_init__(self) -> None:
         if self.range_max_m <= self.range_min_m:

@@ -17,6 +17,7 @@ from slamcmp.models.motion import Bicycle, MotionModel, StraightThenTurn, Unicyc
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import RandomStreams
 from slamcmp.types import BoolArray, Detections, FloatArray, GroundTruth, Log, Problem, SensorModel
+from slamcmp.worlds.outliers import OutlierDraws
 from slamcmp.worlds.settings import Settings
 
 
@@ -49,10 +50,13 @@ def simulate(name: str, world: World, settings: Settings, streams: RandomStreams
     true_increments = np.concatenate([np.eye(3)[None], step])
     poses = dead_reckoning(np.eye(3), true_increments)
 
-    increments, covariances = _odometry(vehicle, truth_controls, settings, step_noise)
+    draws = OutlierDraws(settings.outlier_rates(), streams.outliers)
+    wheels = truth_controls.copy()
+    wheels[:, 0] *= draws.slips(len(wheels))
+    increments, covariances = _odometry(vehicle, wheels, settings, step_noise)
     sensor = make_sensor(settings.sensor, {"space_dim": 2} if settings.sensor == "relative_position" else {})
     t: FloatArray = np.arange(settings.steps, dtype=np.float64) * dt
-    detections, outliers = _detect(sensor, poses, world.landmarks, settings, streams)
+    detections, outliers = _detect(sensor, poses, world.landmarks, settings, streams, draws)
 
     sigmas = settings.noise_scale * np.array(
         [settings.prior_position_sigma_m] * 2 + [settings.prior_heading_sigma_rad]
@@ -117,10 +121,10 @@ class _Vehicle:
 
 
 def _odometry(
-    vehicle: _Vehicle, true_controls: FloatArray, settings: Settings, generator: np.random.Generator
+    vehicle: _Vehicle, controls: FloatArray, settings: Settings, generator: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Noisy increments (K, 3, 3) and their covariances (K, 3, 3) in the body tangent."""
-    steps, parts = len(true_controls), settings.process_substeps
+    """Noisy increments (K, 3, 3) and their covariances (K, 3, 3) in the body tangent, of what wheels do."""
+    steps, parts = len(controls), settings.process_substeps
     part_s = settings.time_step_s / parts
     draws = generator.standard_normal((steps, 3))
     # Drawn last, so that parts leave the other numbers as they are.
@@ -131,7 +135,7 @@ def _odometry(
     increments, covariances = np.tile(np.eye(3), (steps + 1, 1, 1)), np.zeros((steps + 1, 3, 3))
     noisy = np.tile(np.eye(3), (steps, 1, 1))
     for part_draw in reversed(part_draws):
-        measured = vehicle.part_of(true_controls) + vehicle.sigmas * part_draw
+        measured = vehicle.part_of(controls) + vehicle.sigmas * part_draw
         # In the tangent at the end of the step, which the later parts have moved.
         jacobian = adjoint_of_inverse(noisy) @ vehicle.model.jacobian(measured, part_s)
         jacobian = _rounded(jacobian, settings.resolution)
@@ -149,7 +153,12 @@ def _odometry(
 
 
 def _detect(
-    sensor: SensorModel, poses: FloatArray, landmarks: FloatArray, settings: Settings, streams: RandomStreams
+    sensor: SensorModel,
+    poses: FloatArray,
+    landmarks: FloatArray,
+    settings: Settings,
+    streams: RandomStreams,
+    draws: OutlierDraws,
 ) -> tuple[list[Detections], list[BoolArray]]:
     """Detections of every frame, and which of them are outliers."""
     polar = make_sensor("range_bearing", {})
@@ -168,10 +177,14 @@ def _detect(
         noise = streams.sensor.standard_normal(landmarks.shape)
         luck = streams.outliers.random((len(landmarks), 3))
         geometry = polar.predict(T, landmarks)
-        seen = (geometry >= low).all(axis=1) & (geometry <= high).all(axis=1)
-        seen &= k >= settings.first_look
-        readings = sensor.predict(T, landmarks) + sigmas * noise
-        wild = luck[:, 0] < settings.outlier_fraction
+        seen = np.asarray((geometry >= low).all(axis=1) & (geometry <= high).all(axis=1))
+        if k < settings.first_look:
+            seen[:] = False
+        of = draws.measured_instead(seen)
+        readings = sensor.predict(T, landmarks)[of] + sigmas * noise
+        ghosts = draws.ghosts(seen) & (k >= settings.first_look)
+        seen = seen | ghosts
+        wild = (luck[:, 0] < settings.outlier_fraction) | ghosts | draws.in_burst()
         false = low + (high - low) * luck[:, 1:]
         readings[wild] = false[wild] if is_polar else polar.invert(np.eye(3), false[wild])
         readings = _rounded(readings, settings.resolution)
@@ -181,7 +194,7 @@ def _detect(
             seen &= readings[:, 0] > 0
         ids = np.flatnonzero(seen)
         detections.append(Detections(readings[ids], np.tile(covariance, (ids.size, 1, 1)), ids))
-        masks.append(wild[ids])
+        masks.append((wild | (of != np.arange(of.size)))[ids])
     return detections, masks
 
 

@@ -21,6 +21,7 @@ from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
 from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
+from slamcmp.worlds.outliers import OutlierDraws, OutlierRates
 
 Positive = Annotated[float, Gt(0)]
 Share = Annotated[float, Interval(gt=0, lt=1)]
@@ -47,6 +48,13 @@ def space(
     range_max_m: Positive = 20.0,
     field_of_view_deg: Annotated[float, Interval(gt=0, le=360)] = 240.0,
     first_look: Annotated[int, Ge(0)] = 0,
+    outlier_fraction: Annotated[float, Interval(ge=0, le=1)] = 0.0,
+    wrong_association_fraction: Annotated[float, Interval(ge=0, le=1)] = 0.0,
+    clutter_per_frame: Annotated[float, Ge(0)] = 0.0,
+    burst_probability: Annotated[float, Interval(ge=0, le=1)] = 0.0,
+    burst_frames: Annotated[int, Ge(1)] = 5,
+    slip_probability: Annotated[float, Interval(ge=0, le=1)] = 0.0,
+    slip_share: Annotated[float, Ge(0)] = 0.5,
 ) -> Log:
     """A body that tumbles along a Lissajous curve in a box full of landmarks; relative positions in space.
 
@@ -72,6 +80,13 @@ def space(
         range_max_m: farther landmarks are not seen.
         field_of_view_deg: full angle of the cone about the body's z axis.
         first_look: the first frame with detections.
+        outlier_fraction: share of the detections that are replaced by a uniform draw from the cone of view.
+        wrong_association_fraction: share that measure another landmark of the same frame than they say.
+        clutter_per_frame: mean number of ghosts a frame: draws from the cone under labels out of sight.
+        burst_probability: chance that a burst begins with a frame: all that is seen in it is such a draw.
+        burst_frames: frames that a burst lasts.
+        slip_probability: chance that odometry tells more translation than there was, and Q does not know.
+        slip_share: how much more, as a share of the step.
     """
     streams = random_streams(seed)
     box = np.array([length_m, width_m, height_m])
@@ -85,22 +100,42 @@ def space(
     sigmas = noise_scale * odometry_share * np.maximum(np.abs(motion), floor)
     increments, Q = np.tile(np.eye(4), (steps, 1, 1)), np.zeros((steps, 6, 6))
     increments[1:] = exp(-sigmas * streams.odometry.standard_normal(motion.shape)) @ true_step
+    draws = OutlierDraws(
+        OutlierRates(
+            wrong_association_fraction=wrong_association_fraction,
+            clutter_per_frame=clutter_per_frame,
+            burst_probability=burst_probability,
+            burst_frames=burst_frames,
+            slip_probability=slip_probability,
+            slip_share=slip_share,
+        ),
+        streams.outliers,
+    )
+    increments[1:, :3, 3] *= draws.slips(steps - 1)[:, None]
     # The noise acts in the axes of the body before the step.
     carried = adjoint_of_inverse(increments[1:])
     Q[1:] = carried @ (sigmas[:, :, None] ** 2 * np.swapaxes(carried, 1, 2))
 
     sensor = make_sensor("relative_position", {"space_dim": 3})
     cosine = math.cos(math.radians(field_of_view_deg / 2))
-    detections = []
+    detections, masks = [], []
     for k, T in enumerate(T_world_body):
         noise = streams.sensor.standard_normal(positions.shape)
+        luck = streams.outliers.random((landmarks, 4))
         true = sensor.predict(T, positions)
         distance = np.linalg.norm(true, axis=1)
         seen = (distance < range_max_m) & (true[:, 2] >= cosine * distance) & (k >= first_look)
-        deviations = noise_scale * observation_share * np.maximum(np.abs(true), observation_floor_m)
+        of = draws.measured_instead(seen)
+        ghosts = draws.ghosts(seen) & (k >= first_look)
+        wild = (luck[:, 0] < outlier_fraction) | ghosts | draws.in_burst()
+        seen |= ghosts
+        # What the sensor believes to see decides how exact it says to be.
+        sighted = np.where(wild[:, None], _in_cone(luck[:, 1:], range_max_m, cosine), true[of])
+        deviations = noise_scale * observation_share * np.maximum(np.abs(sighted), observation_floor_m)
         ids = np.flatnonzero(seen)
         R = deviations[ids, :, None] * np.eye(3) * deviations[ids, None, :]
-        detections.append(Detections((true + deviations * noise)[ids], R, ids))
+        detections.append(Detections((sighted + deviations * noise)[ids], R, ids))
+        masks.append((wild | (of != np.arange(of.size)))[ids])
 
     t: FloatArray = np.arange(steps, dtype=np.float64) * time_step_s
     return Log(
@@ -110,8 +145,17 @@ def space(
         T_prev_body=increments,
         Q=Q,
         detections=tuple(detections),
-        truth=GroundTruth(t, T_world_body, np.arange(landmarks), positions),
+        truth=GroundTruth(t, T_world_body, np.arange(landmarks), positions, tuple(masks)),
     )
+
+
+def _in_cone(luck: FloatArray, range_max_m: float, cosine: float) -> FloatArray:
+    """Points (m, 3), uniform in the cone about z, from uniform numbers (m, 3)."""
+    distance, z = range_max_m * np.cbrt(luck[:, 0]), 1.0 - (1.0 - cosine) * luck[:, 1]
+    turn, across = 2 * math.pi * luck[:, 2], np.sqrt(1.0 - z**2)
+    directions = np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=-1)
+    points: FloatArray = distance[:, None] * directions
+    return points
 
 
 def _course(box: FloatArray, angle: FloatArray) -> FloatArray:
