@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -10,9 +11,20 @@ import typer
 RESULTS_HELP = "A results folder, or the name of an experiment below results/."
 
 
+class FigureStyle(StrEnum):
+    """Where a figure is to stand."""
+
+    page = "page"
+    paper = "paper"
+    slide = "slide"
+
+
 def add_commands(app: typer.Typer) -> None:
     """Put this file's commands into the application."""
-    app.command(epilog="Example: slamcmp plot results/quickstart --figure map --format png")(plot)
+    app.command(
+        epilog="Examples: slamcmp plot results/quickstart --figure map --format png | "
+        "slamcmp plot quickstart --figure dial --style paper --width 88mm --format pdf"
+    )(plot)
     app.command(epilog="Example: slamcmp report results/quickstart")(report)
 
 
@@ -22,13 +34,32 @@ def plot(
         list[str] | None, typer.Option(help="Name of a figure, repeatable; default: all that apply.")
     ] = None,
     formats: Annotated[str, typer.Option("--format", help="Formats, separated by commas.")] = "png,svg",
+    width: Annotated[str | None, typer.Option(help="Of the figure, e.g. 88mm, 3.5in, 252pt.")] = None,
+    font: Annotated[str | None, typer.Option(help="Family that this machine has, e.g. serif.")] = None,
+    look: Annotated[
+        FigureStyle,
+        typer.Option("--style", help="Sizes of letters and lines: page, paper, slide."),
+    ] = FigureStyle.page,
+    panel: Annotated[str, typer.Option(help="all, or one panel by its number from 1 on.")] = "all",
 ) -> None:
-    """Draw an experiment's figures into its results folder."""
+    """Draw an experiment's figures into its results folder.
+
+    With a width panels of a row go below one another where they would be too narrow, and titles are broken
+    into lines. --style paper has letters of 8 points for a column of a paper, --style slide of 18 points at
+    the width of a slide; both have Type 42 fonts in PDF and text as text in SVG.
+    """
     from slamcmp.errors import UsageError
     from slamcmp.report import draw_figures
+    from slamcmp.report.figures.look import Look, check_font, parse_width
     from slamcmp.results.partial import missing_runs
     from slamcmp.results.store import find_results, load_results
 
+    chosen = Look(
+        look.value,
+        None if width is None else parse_width(width),
+        None if font is None else check_font(font),
+        _panel(panel),
+    )
     wanted = tuple(part.strip() for part in formats.split(","))
     unknown = [name for name in wanted if name not in ("png", "svg", "pdf")]
     if unknown:
@@ -38,11 +69,21 @@ def plot(
     if missing is not None:
         print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)
     names = figure or found.manifest["config"].get("figures")
-    drawn = draw_figures(found, names, found.folder / "figures", wanted)
+    drawn = draw_figures(found, names, found.folder / "figures", wanted, chosen)
     for path in drawn:
         print(path)
     for name, reason in drawn.skipped.items():
         print(f"{name}: not drawn: {reason}", file=sys.stderr)
+
+
+def _panel(text: str) -> int | None:
+    from slamcmp.errors import UsageError
+
+    if text == "all":
+        return None
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise UsageError(f"--panel {text}: all, or a number from 1 on")
+    return int(text)
 
 
 def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:

@@ -7,10 +7,13 @@ import json
 from functools import cache
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, create_model
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from slamcmp.errors import UsageError
 from slamcmp.registry import Plugin
+
+INFINITIES = frozenset({"inf", "-inf", "infinity", "-infinity"})
+"""As text, in small letters."""
 
 
 def parameter_model(plugin: Plugin) -> type[BaseModel]:
@@ -48,7 +51,32 @@ def bind_parameters(plugin: Plugin, given: dict[str, Any]) -> dict[str, Any]:
 
 def _validate(plugin: Plugin, given: dict[str, Any]) -> BaseModel:
     # JSON mode: strict about numbers and strings, yet a list may become the tuple that is asked for.
-    return parameter_model(plugin).model_validate_json(json.dumps(given, default=str), strict=True)
+    model = parameter_model(plugin)
+    try:
+        return model.model_validate_json(json.dumps(given, default=str), strict=True)
+    except ValidationError as error:
+        # The printed configuration has infinity as text, as JSON must: only where a number is asked for.
+        known = _with_infinities(given, error)
+        if known == given:
+            raise
+        return model.model_validate_json(json.dumps(known, default=str), strict=True)
+
+
+def _with_infinities(given: dict[str, Any], error: ValidationError) -> dict[str, Any]:
+    """``given`` with numbers in place of ``"inf"`` and the like wherever a number was missed."""
+    found = json.loads(json.dumps(given, default=str))
+    for details in error.errors():
+        value, place = details["input"], details["loc"]
+        if details["type"] not in ("float_type", "float_parsing") or not isinstance(value, str):
+            continue
+        if value.lower() not in INFINITIES:
+            continue
+        # Behind a parameter of several types stands the name of the type.
+        node, steps = found, [step for step in place if step != "float"]
+        for step in steps[:-1]:
+            node = node[step]
+        node[steps[-1]] = float(value)
+    return dict(found)
 
 
 @cache

@@ -216,13 +216,15 @@ class Checker:
             return
         for index, value in enumerate(values):
             try:
-                check_parameters(plugin, {**target.parameters, parameter: value})
+                known = check_parameters(plugin, {**target.parameters, parameter: value})
             except ValidationError as error:
                 for details in error.errors():
                     if details["loc"][:1] == (parameter,):
                         renamed = {**details, "loc": ()}
                         self._errors.add_pydantic([renamed], ("sweep", path, index), {})  # type: ignore[list-item]
             else:
+                if isinstance(value, str) and isinstance(known[parameter], float):
+                    values[index] = value = known[parameter]
                 fit.check_swept_value(
                     self._errors, plugin, target.parameters, parameter, value, path, index, alone=alone
                 )
@@ -247,6 +249,11 @@ class Checker:
             if text in seen:
                 self._errors.add(("sweep", path, index), f"sweep: {text} stands twice")
             seen.add(text)
+
+    def no_seed(self, source: Component | None) -> None:
+        """``seeds: [null]``, as the configuration of recorded data is printed."""
+        if source is not None and source.plugin().traits.get("seeded", True):
+            self._errors.add(("seeds", 0), f"seeds: source {source.name!r} needs numbers, not null")
 
     def seeds(self, given: int | list[int], source: Component | None) -> tuple[int | None, ...]:
         seeds = tuple(range(given)) if isinstance(given, int) else tuple(given)

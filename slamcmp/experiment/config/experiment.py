@@ -169,8 +169,10 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
     for place, what in unusable_values(source.data):
         errors.add(place, what)
     errors.raise_if_any()
+    unseeded = source.data.get("seeds") == [None]
+    data = {key: value for key, value in source.data.items() if not (unseeded and key == "seeds")}
     try:
-        fields = ExperimentFields.model_validate_json(json.dumps(source.data, default=str), strict=True)
+        fields = ExperimentFields.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         known: dict[KeyPath, Any] = {
             (): ExperimentFields.model_fields,
@@ -182,7 +184,7 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
         wrong = {details["loc"][0] for details in error.errors()}
         good = {
             key: value
-            for key, value in source.data.items()
+            for key, value in data.items()
             if key in ExperimentFields.model_fields and key not in wrong
         }
         fields = ExperimentFields.model_construct(
@@ -210,6 +212,8 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
     until = None if fields.until is None else StopRule.model_validate(fields.until)
     first = fields.seeds if until is None or "seeds" in source.data else until.batch
     seeds = checker.seeds(first, chosen_source)
+    if unseeded:
+        checker.no_seed(chosen_source)
     checker.require_recordings_alone(seeds, until, fields.sweep)
     checker.trials(fields.sweep, len(seeds), len(chosen))
     if until is not None:

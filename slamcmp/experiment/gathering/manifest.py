@@ -36,8 +36,8 @@ def describe_origin(experiment: Experiment, command: str) -> dict[str, Any]:
         "commit": commit(),
         "code": code(experiment),
         "cpu": cpu_name(),
-        "platform": platform.platform(),
-        "python": sys.version.split()[0],
+        "platform": platform_name(),
+        "python": python_version(),
         "config": experiment.as_dict(),
         "config_file": None if experiment.path is None else str(experiment.path),
         "seeds": [seed for seed in experiment.seeds if seed is not None],
@@ -136,6 +136,16 @@ def commit() -> dict[str, Any] | None:
         return {"sha": git("rev-parse", "HEAD"), "dirty": bool(changed)}
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def python_version() -> str:
+    """``3.12.4``."""
+    return sys.version.split()[0]
+
+
+def platform_name() -> str:
+    """Operating system and machine."""
+    return platform.platform()
 
 
 def cpu_name() -> str:

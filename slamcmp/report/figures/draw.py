@@ -17,6 +17,8 @@ from slamcmp.errors import UsageError
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.report.figures.look import Look
+from slamcmp.results.grid import at_point, middle_point, point_name
 from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results
 from slamcmp.support.atomic import write_atomically
@@ -34,6 +36,12 @@ ORDER = (
     "images",
 )
 """How a report reads; figures that are not named here follow in alphabetical order."""
+OVER_TRIALS = frozenset(
+    {"association", "attribution", "budget", "consistency", "dial", "kl_from_batch", "observability", "sweep"}
+    | {"time"}
+)
+"""Figures of many trials, which their titles do not name; the others show one, and name it."""
+PAGE = Look()
 DPI = 150
 LETTERS_PER_INCH = 11
 """Of a bold title."""
@@ -67,10 +75,12 @@ def draw_figures(
     names: Sequence[str] | None,
     folder: Path,
     formats: Sequence[str] = ("png", "svg"),
+    look: Look = PAGE,
 ) -> FigureFiles:
     """Write the named figures (None: all) to ``folder`` as NAME.FORMAT; the same results give the same bytes.
 
-    A figure whose inputs are missing is not written; the returned list's ``skipped`` says why.
+    One panel is NAME_panelN.FORMAT. A figure whose inputs are missing is not written; the returned list's
+    ``skipped`` says why.
 
     Raises:
         UsageError: a name is not a registered figure.
@@ -78,14 +88,15 @@ def draw_figures(
     """
     folder = Path(folder)
     files = FigureFiles()
-    for drawn in each_figure(results, names):
+    for drawn in each_figure(results, names, look):
         if drawn.figure is None:
             files.skipped[drawn.name] = drawn.reason
             continue
+        part = "" if look.panel is None else f"_panel{look.panel}"
         for file_format in formats:
-            path = folder / f"{drawn.name}.{file_format}"
+            path = folder / f"{drawn.name}{part}.{file_format}"
             try:
-                content = figure_bytes(drawn.figure, file_format)
+                content = figure_bytes(drawn.figure, file_format, look)
             except Exception as error:
                 files.skipped[drawn.name] = fault_text(error)
                 continue
@@ -106,7 +117,7 @@ def draw_figure(results: Results, name: str) -> Figure:
     return drawn.figure
 
 
-def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterator[Drawn]:
+def each_figure(results: Results, names: Sequence[str] | None = None, look: Look = PAGE) -> Iterator[Drawn]:
     """Draw one figure after the other, in reading order; without names all but those of trait ``on_request``.
 
     Raises:
@@ -118,24 +129,42 @@ def each_figure(results: Results, names: Sequence[str] | None = None) -> Iterato
     missing, results = missing_runs(results), comparable(results)
     for plugin in [figures.get(name) for name in names]:
         title, caption = plugin.traits.get("title", plugin.name), plugin.traits.get("caption", plugin.summary)
-        with matplotlib.rc_context(style.RC):
+        with matplotlib.rc_context({**style.RC, **look.rc}):
             try:
                 if results.trials.empty:
                     raise NotDrawable("no trial has a run of every back end")
                 figure = plugin.target(results)
+                if plugin.name in OVER_TRIALS:
+                    _say(figure, _trials_text(results, figure))
                 if missing is not None:
                     _say(figure, missing.short())
+                look.fit(figure)
                 make_table = plugin.traits.get("table")
                 table = None if make_table is None else make_table(results)
                 make_panels = plugin.traits.get("panels")
                 panels = () if make_panels is None else tuple(make_panels(results))
                 drawn = Drawn(plugin.name, title, caption, figure, table=table, panels=panels)
-            except NotDrawable as reason:
+            except (NotDrawable, UsageError) as reason:
                 drawn = Drawn(plugin.name, title, caption, None, str(reason))
             except Exception as error:
                 # One figure's mistake must cost neither the others nor the tables.
                 drawn = Drawn(plugin.name, title, caption, None, fault_text(error))
         yield drawn
+
+
+def _trials_text(results: Results, figure: Figure) -> str:
+    """``over 20 trials (seeds 0 to 19)``: those of the grid point that the figure names, else all."""
+    point = middle_point(results)
+    named = point_name(point)
+    trials = at_point(results.trials, point) if named and named in figure.get_suptitle() else results.trials
+    count, seeds = int(trials["trial"].nunique()), sorted({int(seed) for seed in trials["seed"].dropna()})
+    if not seeds:
+        return f"over {count} trial{'s' if count > 1 else ''}"
+    span = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {', '.join(map(str, seeds))}"
+    if len(seeds) > 3:
+        whole = seeds == list(range(seeds[0], seeds[-1] + 1))
+        span = f"seeds {seeds[0]} to {seeds[-1]}" if whole else f"{len(seeds)} seeds from {seeds[0]} on"
+    return f"over {count} trial{'s' if count > 1 else ''} ({span})"
 
 
 def _say(figure: Figure, what: str) -> None:
@@ -149,12 +178,16 @@ def fault_text(error: Exception) -> str:
     return f"drawing it failed: {describe(error)}"
 
 
-def figure_bytes(figure: Figure, file_format: str) -> bytes:
+def figure_bytes(figure: Figure, file_format: str, look: Look = PAGE) -> bytes:
     """The figure as PNG, JPEG (150 dpi) or SVG, without the date and with fixed identifiers."""
-    # The two writers name the time of writing differently, and neither belongs in a reproducible file.
-    names: dict[str, dict[str, Any]] = {"png": {"Software": None}, "svg": {"Date": None}}
+    # The writers name the time of writing differently, and it belongs in no reproducible file.
+    names: dict[str, dict[str, Any]] = {
+        "png": {"Software": None},
+        "svg": {"Date": None},
+        "pdf": {"CreationDate": None},
+    }
     metadata = names.get(file_format, {}) if file_format != "jpg" else None
     buffer = io.BytesIO()
-    with matplotlib.rc_context(style.RC):
+    with matplotlib.rc_context({**style.RC, **look.rc}):
         figure.savefig(buffer, format=file_format, dpi=DPI, metadata=metadata)
     return buffer.getvalue()
