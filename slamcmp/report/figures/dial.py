@@ -78,7 +78,7 @@ def plot_dial(results: Results) -> Figure:
     curves, ends, full = arrangement(results.manifest)
     present = set(trials["label"])
     if sum(len(set(curve.labels) & present) for curve in curves) < 2:
-        raise NotDrawable("no sliding_window was run, and nothing imported, with two windows")
+        raise NotDrawable("no sliding_window was run with two windows, nor are any imported")
     windows = sorted({window for curve in curves for window in curve.windows})
     places = {window: float(i) for i, window in enumerate(windows)}
     right = float(len(windows))
