@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PYTEST_ARGS ?=
 
-.PHONY: demo test check install install-test bench slow docs-figures clean
+.PHONY: demo test check install install-test bench slow docs-figures answer clean
 
 demo: install
 	$(BIN)/slamcmp run experiments/victoria_park.yaml
@@ -32,6 +32,13 @@ bench: install-test
 
 docs-figures: install
 	$(BIN)/python docs/make_figures.py
+
+answer: install-test
+	for part in $(basename $(notdir $(wildcard experiments/answer/*.yaml))); do \
+	  $(BIN)/slamcmp run answer/$$part --results results/answer/$$part --no-report || [ $$? -eq 1 ] || exit; \
+	done
+	$(BIN)/python -m tests.anchors.answer results/answer
+	$(BIN)/python docs/make_figures.py $(patsubst docs/images/%,%,$(wildcard docs/images/answer_*.png))
 
 install: $(VENV)/.installed
 install-test: $(VENV)/.installed-test

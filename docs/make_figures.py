@@ -34,6 +34,9 @@ IMAGES = {
 }
 """File in docs/images: shipped experiment, figure."""
 
+STUDY: dict[str, tuple[str, str]] = {}
+"""The same, of the study that takes hours (``make answer``): drawn where they are named."""
+
 MATCHES = {"rendered_room_matches.png": ("rendered_room", (20, 30))}
 """File in docs/images: shipped experiment with a camera, two of its first trial's images."""
 
@@ -44,14 +47,15 @@ def make(names: list[str], results: Path, jobs: int | None) -> None:
     Raises:
         SystemExit: a figure could not be drawn; the message says why.
     """
-    for experiment in dict.fromkeys(IMAGES[name][0] for name in names):
+    images = IMAGES | STUDY
+    for experiment in dict.fromkeys(images[name][0] for name in names):
         found = run_experiment(
             find_experiment(experiment), folder=results / experiment, jobs=jobs, progress=True
         )
         for name in names:
-            if IMAGES[name][0] != experiment:
+            if images[name][0] != experiment:
                 continue
-            figure = IMAGES[name][1]
+            figure = images[name][1]
             with tempfile.TemporaryDirectory() as folder:
                 files = draw_figures(found, [figure], Path(folder), ["png"])
                 if not files:
@@ -79,19 +83,21 @@ def make_matches(name: str) -> None:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", 1)[1])
-    known = [*IMAGES, *MATCHES]
-    parser.add_argument("images", nargs="*", metavar="IMAGE", help=f"of {', '.join(known)}; default: all")
+    known = [*IMAGES, *MATCHES, *STUDY]
+    parser.add_argument(
+        "images", nargs="*", metavar="IMAGE", help=f"of {', '.join(known)}; default: all but the study's"
+    )
     parser.add_argument("--results", type=Path, default=Path("results"), help="default: results")
     parser.add_argument("--jobs", type=int, default=None, help="default: one for each core")
     options = parser.parse_args()
     unknown = sorted(set(options.images) - set(known))
     if unknown:
         parser.error(f"no image {', '.join(unknown)}; known: {', '.join(known)}")
-    names = options.images or known
+    names = options.images or [*IMAGES, *MATCHES]
     for name in names:
         if name in MATCHES:
             make_matches(name)
-    make([name for name in names if name in IMAGES], options.results, options.jobs)
+    make([name for name in names if name not in MATCHES], options.results, options.jobs)
 
 
 if __name__ == "__main__":

@@ -38,12 +38,12 @@ def shown() -> set[str]:
 
 def test_every_image_is_made_by_the_command_and_shown(command: dict[str, Any]) -> None:
     kept = {path.name for path in (ROOT / "docs" / "images").iterdir()}
-    assert shown() == {*command["IMAGES"], *command["MATCHES"]} == kept
+    assert shown() == {*command["IMAGES"], *command["MATCHES"], *command["STUDY"]} == kept
 
 
 def test_every_image_comes_from_a_shipped_experiment_that_draws_it(command: dict[str, Any]) -> None:
     shipped = shipped_experiments()
-    for experiment, figure in command["IMAGES"].values():
+    for experiment, figure in [*command["IMAGES"].values(), *command["STUDY"].values()]:
         assert figure in figures
         named = load_experiment(shipped[experiment]).figures
         assert named is None or figure in named
