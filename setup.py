@@ -44,6 +44,7 @@ setup(
     package_dir={"slamcmp": "slamcmp", **shipped},
     package_data={
         "slamcmp": ["py.typed"],
+        "slamcmp.advice": ["templates/*"],
         "slamcmp.report": ["templates/*"],
         "slamcmp.grading.results": ["templates/*"],
         "slamcmp.grading.assignment": ["skeleton_files/*"],

@@ -15,6 +15,8 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slamcmp.advice.advice import Advice
+    from slamcmp.api.advice import advise
     from slamcmp.api.back_ends import Findings, check, run_back_end, score
     from slamcmp.api.experiments import load_results, run
     from slamcmp.api.plots import plot
@@ -48,6 +50,8 @@ if os.environ.get("SLAMCMP_INSIDE_SANDBOX") is None:
     record_loads()
 
 _HOMES = {
+    "slamcmp.advice.advice": ("Advice",),
+    "slamcmp.api.advice": ("advise",),
     "slamcmp.api.back_ends": ("Findings", "check", "run_back_end", "score"),
     "slamcmp.api.experiments": ("load_results", "run"),
     "slamcmp.api.plots": ("plot",),
@@ -76,6 +80,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "run",
     "load_results",
+    "advise",
     "make_stream",
     "run_back_end",
     "score",
@@ -83,6 +88,7 @@ __all__ = [
     "check",
     "load_experiment",
     "Results",
+    "Advice",
     "Experiment",
     "SourceStream",
     "Findings",

@@ -74,7 +74,7 @@ def run(
     chosen = None if seeds is None else _checked_seeds(seeds)
     if jobs is not None and (not _is_whole(jobs) or jobs < 1):
         raise UsageError(f"run: jobs is how many run at a time, 1 or more, not {jobs!r}")
-    shown = _is_watched() if progress is None else progress
+    shown = is_watched() if progress is None else progress
     own: dict[str, Plugin] = {}
     if isinstance(experiment, Mapping):
         given, own = _without_objects(experiment)
@@ -190,6 +190,6 @@ def _names(own: Mapping[str, Plugin]) -> str:
     return ", ".join(dict.fromkeys(plugin.name for plugin in own.values()))
 
 
-def _is_watched() -> bool:
+def is_watched() -> bool:
     """Whether somebody looks: a terminal, or a notebook (whose output is none)."""
     return sys.stderr.isatty() or "ipykernel" in sys.modules

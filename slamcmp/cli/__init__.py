@@ -14,6 +14,7 @@ import typer
 
 import slamcmp
 from slamcmp.cli import (
+    advise,
     assignment,
     check,
     compare,
@@ -44,6 +45,7 @@ app = typer.Typer(
 # In the order of --help.
 for _commands in (
     run,
+    advise,
     check,
     seeds,
     results,

@@ -139,6 +139,37 @@ def ratio_interval(values: ArrayLike, reference: ArrayLike, confidence: float = 
     return Interval(math.exp(mean), math.exp(mean - half), math.exp(mean + half), logs.size, confidence)
 
 
+def share_interval(part: ArrayLike, whole: ArrayLike, confidence: float = 0.95) -> Interval:
+    """Mean of ``part`` over mean of ``whole``, pair by pair, with Fieller's interval (Fieller 1954).
+
+    Two gains on the same runs: how much of the one is the other? No interval where the runs do not tell the
+    whole from nothing, for then its share can be anything, and below :data:`FEWEST_RATIOS` pairs.
+
+    Raises:
+        UsageError: the two do not have the same length.
+    """
+    parts, wholes = np.asarray(part, dtype=float), np.asarray(whole, dtype=float)
+    if parts.shape != wholes.shape:
+        raise UsageError(f"paired comparison: {parts.size} values and {wholes.size}; a pair is one seed")
+    there = np.isfinite(parts) & np.isfinite(wholes)
+    parts, wholes = parts[there], wholes[there]
+    runs = parts.size
+    if not runs or wholes.mean() == 0.0:
+        return Interval(math.nan, math.nan, math.nan, runs, confidence)
+    share = float(parts.mean() / wholes.mean())
+    if runs < FEWEST_RATIOS:
+        return Interval(share, math.nan, math.nan, runs, confidence)
+    quantile = float(stdtrit(runs - 1.0, (1.0 + confidence) / 2.0))
+    spread = quantile**2 / runs * np.cov(parts, wholes)
+    # The shares s for which mean(part - s whole) does not differ from 0: a s² - 2 b s + c <= 0.
+    a, b = wholes.mean() ** 2 - spread[1, 1], parts.mean() * wholes.mean() - spread[0, 1]
+    c = parts.mean() ** 2 - spread[0, 0]
+    if a <= 0.0:
+        return Interval(share, math.nan, math.nan, runs, confidence)
+    root = math.sqrt(max(b**2 - a * c, 0.0))
+    return Interval(share, float((b - root) / a), float((b + root) / a), runs, confidence)
+
+
 def ratio_test(values: ArrayLike, reference: ArrayLike) -> float:
     """Two-sided p value of Student's paired t test on the log of the ratios, which are 1 if both are alike.
 

@@ -128,7 +128,7 @@ def consistency_of(results: Results, own: pd.DataFrame, which: Which) -> Consist
     column = f"{which}_pose_nees"
     if column in ok and ok[column].notna().any():
         return _by_nees(results, ok, which)
-    return _by_innovations(results, ok)
+    return by_innovations(results, ok)
 
 
 def student_interval(values: ArrayLike) -> Interval:
@@ -186,7 +186,8 @@ def _by_nees(results: Results, ok: pd.DataFrame, which: Which) -> Consistency:
     return Consistency("consistent", "NEES", text)
 
 
-def _by_innovations(results: Results, ok: pd.DataFrame) -> Consistency:
+def by_innovations(results: Results, ok: pd.DataFrame) -> Consistency:
+    """What the innovations of these finished runs say: overconfident, or nothing."""
     found, of = _innovations(results, ok)
     if not found.runs:
         return Consistency("not known", "", "neither truth nor innovations to judge it by")

@@ -5,11 +5,13 @@ The rule, in order:
 1. Out of the question is who failed in more than :data:`MOST_FAILED` of the runs, who needs more time or
    memory than there is, and who is overconfident: of what it says of its own error nothing may depend.
 2. *The best* is the lowest geometric mean of the error among all that ran and can be afforded, overconfident
-   ones included, over the trials that all of these finished.
-3. *Within* is a back end whose ratio to the best, run by run, has its whole 95 % interval below 1.05;
-   *beyond* one with its whole interval above; else the runs do not say. From five pairs on there is an
-   interval (:func:`slamcmp.metrics.statistics.ratio_interval`). That the best was chosen on the same runs
-   makes it look better than it is: the rule errs on the side of calling nobody within too early.
+   ones included, over the trials that all of these finished. It is named; the rule does not need it.
+3. *Within* is a back end whose ratio to each of the others, run by run, has its whole 95 % interval below
+   1.05; *beyond* one whose interval to any of them lies wholly above; else the runs do not say. From five
+   pairs on there is an interval (:func:`slamcmp.metrics.statistics.ratio_interval`). Held against all of
+   them, not against the one that came out best, nobody is within by the luck of the draw; that each of the
+   claims has to hold makes a correction for their number needless (an intersection-union test; compare
+   "multiple comparisons with the best", Hsu 1984).
 4. Recommended is the cheapest of those within that are left, if no cheaper one is undecided; where one is, or
    where there are too few runs, the verdict is ``not enough runs to say``. Who is merely not known to be
    consistent (no truth) is not excluded, and told.
@@ -33,6 +35,7 @@ WITHIN = 0.05
 """Of the best error, as a share."""
 MOST_FAILED = 0.02
 """Of the runs: one in fifty may fail; of fewer runs none."""
+NOTHING = Interval(math.nan, math.nan, math.nan, 0)
 RECOMMENDED: Final = "recommended"
 TOO_FEW: Final = "not enough runs to say"
 NOBODY: Final = "none"
@@ -49,6 +52,10 @@ class Choice:
     """Error over that of the best, geometric mean over the pairs; NaN where it is out before this."""
     distance: Distance
     """``out``: it is not compared."""
+    nearest: Interval
+    """The ratio that decided: of all ratios to others the one that reaches highest."""
+    against: str | None
+    """Label of that other."""
     reason: str = ""
     """Why it cannot be recommended; empty where it could be."""
 
@@ -123,7 +130,7 @@ def choose(
     out = {each.label: _out(each, which, budget_ms, memory_mb) for each in ordered}
     running = [each for each in ordered if not out[each.label]]
     best = _best(running)
-    choices = tuple(_choice(each, best, out[each.label], within) for each in ordered)
+    choices = tuple(_choice(each, best, running, out[each.label], within) for each in ordered)
     if best is None:
         return Recommendation(NOBODY, None, None, which, within, choices, (), _why_nobody(choices))
     return _decide(choices, best, which, within)
@@ -176,23 +183,32 @@ def _best(running: Sequence[Candidate]) -> Candidate | None:
     return running[min(range(len(running)), key=lambda i: (math.isnan(means[i]), means[i]))]
 
 
-def _choice(each: Candidate, best: Candidate | None, out: str, within: float) -> Choice:
-    nothing = Interval(math.nan, math.nan, math.nan, 0)
+def _choice(
+    each: Candidate, best: Candidate | None, running: Sequence[Candidate], out: str, within: float
+) -> Choice:
     if out or best is None:
-        return Choice(each, nothing, "out", out or "nobody is left to compare it with")
-    pairs = pd.concat([each.errors, best.errors], axis=1, join="inner").dropna()
-    ratio = ratio_interval(pairs.iloc[:, 0], pairs.iloc[:, 1])
+        return Choice(each, NOTHING, "out", NOTHING, None, out or "nobody is left to compare it with")
+    ratios = {other.label: _ratio(each, other) for other in running if other is not each}
     distance: Distance = "undecided"
-    if ratio.high <= 1.0 + within:
-        distance = "within"
-    elif ratio.low > 1.0 + within:
+    if any(ratio.low > 1.0 + within for ratio in ratios.values()):
         distance = "beyond"
+    elif all(ratio.high <= 1.0 + within for ratio in ratios.values()) and each.errors.size >= FEWEST_RUNS:
+        distance = "within"
+    # Where it is beyond, by whom; else who comes closest to that.
+    key = (lambda name: ratios[name].low) if distance == "beyond" else (lambda name: ratios[name].high)
+    against = max((name for name in ratios if ratios[name].half_width < math.inf), key=key, default=None)
     reason = ""
     if each.consistency.verdict == "overconfident":
         reason = f"overconfident: {each.consistency.text}"
     elif distance == "beyond":
         reason = f"more than {100 * within:g} % above the best"
-    return Choice(each, ratio, distance, reason)
+    decided = NOTHING if against is None else ratios[against]
+    return Choice(each, _ratio(each, best), distance, decided, against, reason)
+
+
+def _ratio(one: Candidate, other: Candidate) -> Interval:
+    pairs = pd.concat([one.errors, other.errors], axis=1, join="inner").dropna()
+    return ratio_interval(pairs.iloc[:, 0], pairs.iloc[:, 1])
 
 
 def _why_nobody(choices: Sequence[Choice]) -> str:

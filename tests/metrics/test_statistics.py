@@ -22,6 +22,7 @@ from slamcmp.metrics.statistics import (
     paired_interval,
     ratio_interval,
     ratio_test,
+    share_interval,
     sign_test,
     signed_rank_test,
     wilson_interval,
@@ -281,3 +282,31 @@ def test_average_nees_of_consistent_runs_is_inside_as_often_as_it_says():
     inside = np.mean([average_nees(rng.chisquare(3, 20), 3).verdict == "consistent" for _ in range(3000)])
     # Four standard deviations of a share of 0.95 over 3000.
     assert abs(inside - 0.95) < 0.016
+
+
+def test_share_of_a_gain_is_fiellers_interval():
+    """The bounds are the shares at which Student's test of part - share * whole is just at 5 %."""
+    rng = np.random.default_rng(8)
+    whole = 0.4 + 0.1 * rng.normal(size=12)
+    part = 0.8 * whole + 0.05 * rng.normal(size=12)
+    found = share_interval(part, whole)
+    assert found.estimate == pytest.approx(part.mean() / whole.mean())
+    for bound in (found.low, found.high):
+        assert stats.ttest_1samp(part - bound * whole, 0.0).pvalue == pytest.approx(0.05)
+    assert share_interval(part[:4], whole[:4]).half_width == math.inf
+    # What is no gain has no share.
+    assert share_interval(part, whole - whole.mean() + 0.001).half_width == math.inf
+    with pytest.raises(UsageError, match="paired"):
+        share_interval(part, whole[1:])
+
+
+@pytest.mark.parametrize("runs", [6, 20])
+def test_share_of_a_gain_covers_for_relative_gains_of_skewed_errors(runs):
+    rng = np.random.default_rng(runs)
+    hits = []
+    for _ in range(1500):
+        rts, batch = (1 - mean * np.exp(0.3 * rng.normal(size=runs)) for mean in (0.6, 0.5))
+        found = share_interval(rts, batch)
+        true = (1 - 0.6 * math.exp(0.045)) / (1 - 0.5 * math.exp(0.045))
+        hits.append(found.low <= true <= found.high)
+    assert 0.925 < np.mean(hits) < 0.975

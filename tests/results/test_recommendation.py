@@ -11,31 +11,7 @@ import pytest
 
 from slamcmp.results.candidates import consistency_of, find_candidates, student_interval
 from slamcmp.results.recommendation import recommend
-from tests.results.hand_made import results_of, runs
-
-SEEDS = 12
-NOISE = np.exp(0.01 * np.random.default_rng(16).normal(size=(5, SEEDS)))
-"""What one back end's errors have apart from the others': one in a hundred."""
-WORLD = np.exp(0.5 * np.random.default_rng(17).normal(size=SEEDS))
-"""What a seed does to all."""
-
-
-def back_end(label, ratio, ms, *, noise=None, nees=3.0, seeds=SEEDS, failed=(), **more):
-    """Runs whose error is ``ratio`` times the seed's own."""
-    index = sum(map(ord, label)) % len(NOISE)
-    errors = ratio * WORLD * (NOISE[index] if noise is None else noise)
-    scatter = np.random.default_rng(index).uniform(0.8, 1.2, SEEDS)
-    rows = runs(label, errors[:seeds].tolist(), failed, estimate_s=0.0, update_p95_ms=2 * ms)
-    times = {"update_s": 3 * ms / 1e3, "estimate_p95_ms": 0.0, "final_s": 0.003, "peak_memory_mb": 10.0}
-    message = {"message": "not positive definite"}
-    return [
-        {**row, **times, **more, **(message if row["status"] != "ok" else {}), "online_pose_nees": nees * s}
-        for row, s in zip(rows, scatter, strict=False)
-    ]
-
-
-def table(*groups):
-    return results_of([row for group in groups for row in group])
+from tests.results.hand_made import SEEDS, back_end, results_of, table
 
 
 def test_a_clear_win_is_the_cheapest_one_within():
@@ -102,17 +78,17 @@ def test_a_few_runs_say_nothing(seeds):
 
 
 def test_a_cheaper_one_that_may_be_within_leaves_it_open():
-    wide = np.exp(0.2 * np.random.default_rng(1).normal(size=SEEDS))
+    wide = np.exp(0.08 * np.random.default_rng(1).normal(size=SEEDS))
     found = recommend(
         table(
-            back_end("EKF", 1.03, 0.1, noise=wide / np.exp(np.log(wide).mean())),
+            back_end("EKF", 1.06, 0.1, noise=wide / np.exp(np.log(wide).mean())),
             back_end("RI", 1.01, 0.2),
             back_end("iSAM2", 1.0, 2.0),
         )
     )
     # RI is safe, but whether it is the cheapest, the runs do not tell.
     assert (found.verdict, found.label, found.undecided) == ("not enough runs to say", "RI", ("EKF",))
-    assert found.of("EKF").ratio.low < 1.05 < found.of("EKF").ratio.high
+    assert 1.0 < found.of("EKF").ratio.low < 1.05 < found.of("EKF").ratio.high
 
 
 def test_a_budget_of_time_or_memory_moves_the_yardstick():
@@ -208,3 +184,21 @@ def test_without_truth_innovations_can_accuse_and_never_acquit():
     assert one_run(1.5, 50).verdict == "not known"
     rows = pd.DataFrame([{"status": "ok", "label": "EKF", "trial": 0}])
     assert consistency_of(results_of([{}]), rows, "online").evidence == ""
+
+
+def test_the_best_by_luck_is_not_within_by_being_the_best():
+    """Its own ratio is 1; what counts is its interval against the others, and theirs against it."""
+    wide = np.exp(0.2 * np.random.default_rng(1).normal(size=SEEDS))
+    found = recommend(
+        table(
+            back_end("EKF", 0.99, 0.1, noise=wide / np.exp(np.log(wide).mean())),
+            back_end("RI", 1.01, 0.2),
+            back_end("iSAM2", 1.0, 2.0),
+        )
+    )
+    assert (found.best, found.verdict, found.label) == ("EKF", "not enough runs to say", None)
+    assert found.undecided == ("EKF", "RI", "iSAM2")
+    ekf = found.of("EKF")
+    assert (ekf.ratio.low, ekf.ratio.high) == (1.0, 1.0)
+    assert (ekf.distance, ekf.against) == ("undecided", "iSAM2")
+    assert ekf.nearest.low < 1.0 < 1.05 < ekf.nearest.high
