@@ -96,6 +96,8 @@ class Registry:
         if name in _in_session:
             return _in_session[name]
         self._load()
+        if name in GONE.get(self.kind, {}):
+            raise UsageError(f"{self.kind} {name!r} is gone: {GONE[self.kind][name]}")
         if name not in self._plugins:
             raise UsageError(f"unknown {self.kind} {name!r}{did_you_mean(name, self._plugins)}")
         return self._plugins[name]
@@ -118,6 +120,15 @@ class Registry:
                 importlib.import_module(module.name)
         # Not before: after an import that failed, the next call says so again instead of knowing half.
         self._loaded = True
+
+
+GONE: Mapping[str, Mapping[str, str]] = {
+    "back end": {
+        "ekf_compiled": "ekf_slam gives its numbers, compiled where numba is installed (pip install "
+        "'slamcmp[fast]'); name ekf_slam instead"
+    },
+}
+"""By kind and name: plug-ins of older versions, and what to name instead."""
 
 
 def keyword_only(target: Callable[..., Any]) -> dict[str, inspect.Parameter]:

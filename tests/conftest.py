@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from slamcmp.backends.filters import loops
+
 PLUGINS = Path(__file__).with_name("user_plugins.py")
 
 
@@ -33,3 +35,9 @@ def write_experiment(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def plain_filters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No filter is compiled: what is equal to the bit is so among filters that do their frames themselves."""
+    monkeypatch.setattr(loops, "kernels", lambda: None)

@@ -210,8 +210,12 @@ def test_figures_of_planar_worlds_need_no_opencv(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("numba", "ok", "said"),
     [
-        (None, True, "not installed; only ekf_compiled needs it: pip install 'slamcmp[fast]'"),
-        ("__version__ = '0.99.1'", True, "0.99.1, for ekf_compiled"),
+        (
+            None,
+            True,
+            "not installed; filters in the plane take several times as long: pip install 'slamcmp[fast]'",
+        ),
+        ("__version__ = '0.99.1'", True, "0.99.1 compiles filters in the plane"),
         ("raise ImportError('Numba needs NumPy 2.3 or less')", False, "Numba needs NumPy 2.3 or less"),
     ],
 )

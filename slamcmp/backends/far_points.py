@@ -63,8 +63,16 @@ class FarPoints:
         distance = math.sqrt(self._squares / self._placed)
         apart = math.sqrt(float(((r_at - r) ** 2).sum(axis=1).max()))
         if apart > FARTHEST * distance:
-            raise DivergedError(
-                f"frame {k}: first-estimate Jacobians are far from the estimates, a landmark's by "
-                f"{apart:.3g} m where landmarks were placed from {distance:.3g} m; the map has "
-                "moved too far since"
-            )
+            raise far_off(k, apart, distance)
+
+
+def far_off(k: int, apart: float, distance: float) -> DivergedError:
+    """What a filter says in frame k whose points lie ``apart`` from the estimates.
+
+    Landmarks were placed from a ``distance``; both in metres.
+    """
+    return DivergedError(
+        f"frame {k}: first-estimate Jacobians are far from the estimates, a landmark's by "
+        f"{apart:.3g} m where landmarks were placed from {distance:.3g} m; the map has "
+        "moved too far since"
+    )

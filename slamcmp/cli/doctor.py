@@ -80,8 +80,8 @@ def _opencv() -> str:
 def _numba() -> str:
     """It is optional; one that is installed and does not load is a fault (it is particular about numpy)."""
     if importlib.util.find_spec("numba") is None:
-        return "not installed; only ekf_compiled needs it: pip install 'slamcmp[fast]'"
-    return f"{importlib.import_module('numba').__version__}, for ekf_compiled"
+        return "not installed; filters in the plane take several times as long: pip install 'slamcmp[fast]'"
+    return f"{importlib.import_module('numba').__version__} compiles filters in the plane"
 
 
 def _wheel_data() -> str:

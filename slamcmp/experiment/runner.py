@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from slamcmp.backends.filters.loops import prepare
 from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.executors.processes import Executor
@@ -89,6 +90,7 @@ def run_experiment(
     slots = jobs or available_cores()
     place = executors.get(executor)
     workers: Executor = place.target(slots=slots)
+    prepare(back_end.plugin().target for back_end in experiment.back_ends)
     rounds = _Rounds()
     with locked(folder), interruptions(raising=bool(place.traits.get("in_process", False))) as stop:
         require_same_experiment(experiment, folder)

@@ -41,8 +41,8 @@ def versions() -> Mapping[str, str]:
 def other_libraries(files: Iterable[Path]) -> dict[str, str]:
     """Versions of what ``files`` and ours that they import need beside slamcmp's own requirements.
 
-    numba for ``ekf_compiled``, or whatever a user's file imports; ``absent`` where it is not installed. So a
-    failure for want of a library is not told again once the library is there.
+    numba for filters that it compiles, or whatever a user's file imports; ``absent`` where it is not
+    installed. So a failure for want of a library is not told again once the library is there.
     """
     names = {name for path in import_closure(files) for name in _source(path).foreign}
     return {name: _version(name) for name in sorted(names)}

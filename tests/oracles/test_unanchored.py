@@ -142,7 +142,7 @@ def test_sigma_points_see_what_their_chart_sees(retraction: Any, expected: int) 
     assert seen_nullity(found) == expected
 
 
-def test_recording_changes_no_estimate() -> None:
+def test_recording_changes_no_estimate(plain_filters: None) -> None:
     stream, _ = world_of(2)
     for make in (lambda: EkfSlam(stream.problem), lambda: SlidingWindow(stream.problem, window=3)):
         plain, recording = make(), make()

@@ -52,7 +52,8 @@ def test_libraries_of_others_are_known_by_their_version_or_their_absence(
     assert other_libraries([mine]) == {"wanted_library": "wanted-for-python 2.5"}
 
 
-def test_numba_counts_for_the_compiled_filter_alone() -> None:
-    filters = PACKAGE / "backends" / "filters"
-    assert list(other_libraries([filters / "ekf_compiled.py"])) == ["numba"]
-    assert other_libraries([filters / "ekf_slam.py"]) == {}
+def test_numba_counts_for_the_filters_that_it_compiles() -> None:
+    back_ends = PACKAGE / "backends"
+    for name in ("ekf_slam", "variants", "iterated", "ukf"):
+        assert "numba" in other_libraries([back_ends / "filters" / f"{name}.py"]), name
+    assert other_libraries([back_ends / "gtsam_smoothers" / "batch.py"]) == {}

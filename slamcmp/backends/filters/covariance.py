@@ -5,9 +5,9 @@ it takes n² k multiply-adds if only one triangle is kept. Two layouts, measured
 
 * up to ``FULL_LIMIT`` states, both triangles in C order: columns are plain indexing and BLAS call overhead,
   not arithmetic, decides;
-* above, one Fortran-ordered buffer of which only the lower triangle is valid, updated by BLAS ``dsyrk`` in
-  place. Its leading view is not contiguous and f2py would silently copy it, so BLAS always gets the whole
-  buffer; the unused rows and columns are zero and stay zero.
+* above, and for compiled loops at any size, one Fortran-ordered buffer of which only the lower triangle is
+  valid, updated by BLAS ``dsyrk`` in place. Its leading view is not contiguous and f2py would silently copy
+  it, so BLAS always gets the whole buffer; the unused rows and columns are zero and stay zero.
 
 ========  ========================================================
 symbol    meaning
@@ -45,7 +45,7 @@ class JointCovariance:
         self._landmark_states = np.empty((0, 1), dtype=np.int64)
         """Each landmark's places in P, (L, size); as of the last ``touch``."""
         self._n = self._p
-        self._full = True
+        self._full, self._full_limit = True, FULL_LIMIT
         self._buffer = np.array(P, dtype=np.float64, order="C")
         self._scratch = np.empty_like(self._buffer)
 
@@ -54,6 +54,20 @@ class JointCovariance:
         """n, the number of states."""
         n: int = self._n
         return n
+
+    def keep_one_triangle(self) -> None:
+        """From now on one triangle only, at any size: the layout of compiled loops."""
+        self._full_limit = 0
+        self._move(self._n)
+
+    def rows(self) -> FloatArray:
+        """The buffer, whose rows are contiguous and whose upper triangle counts, to be changed in place."""
+        return self._buffer.T
+
+    def make_room(self, size: int) -> None:
+        """Let ``size`` states count, of which the new ones are for somebody else to fill in."""
+        self._reserve(size)
+        self._n = size
 
     def pose_block(self) -> FloatArray:
         """(p, p), a copy."""
@@ -169,7 +183,7 @@ class JointCovariance:
         # Transposed, the Fortran buffer is in the order that numpy copies fastest.
         kept = self._buffer.T[np.ix_(keep, keep)].T
         self._n = keep.size
-        if keep.size <= FULL_LIMIT:
+        if keep.size <= self._full_limit:
             self._buffer = np.array(kept if self._full else _mirrored(kept), order="C")
             self._scratch = np.empty_like(self._buffer)
             self._full = True
@@ -225,7 +239,7 @@ class JointCovariance:
     def _move(self, size: int) -> None:
         """Into a buffer for ``size`` states and a few more."""
         n = self._n
-        stays_full = size <= FULL_LIMIT
+        stays_full = size <= self._full_limit
         # Slack costs flops in every dsyrk, reallocation a copy: 1/64 keeps the first near 3 %.
         capacity = size if stays_full else size + max(16, size // 64)
         moved = np.zeros((capacity, capacity), order="C" if stays_full else "F")

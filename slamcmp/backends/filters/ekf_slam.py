@@ -37,6 +37,7 @@ from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.filters.charts import Chart
 from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
 from slamcmp.backends.filters.error_covariance import ErrorCovariance, StackedJacobian
+from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.filters.map_filter import LinearisingFilter, Observed
 from slamcmp.backends.filters.postponed import PostponedCovariance
 from slamcmp.backends.robust import RobustKernel, robust_kernel
@@ -107,10 +108,15 @@ class EkfSlam(LinearisingFilter):
         self._join_first = new_landmarks == "join_first"
         self._in_world_axes = error_state == "world"
         self._forget_after = forget_after
+        if forget_after is None:
+            chart = "BODY_WORLD" if self._in_world_axes else "BODY"
+            self._loops = Loops(self, Recipe(chart, self._join_first))
         self._last_seen: dict[int, int] = {}
 
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
+        if self._loops.take(frame):
+            return
         seen = self.construct(frame)
         self.solve(seen)
         self.marginalise(frame)

@@ -197,6 +197,16 @@ class ErrorCovariance:
         """Number of states."""
         return self.storage.size
 
+    @property
+    def is_robust(self) -> bool:
+        """Whether observations go through a kernel."""
+        return self._kernel is not None
+
+    @property
+    def has_listeners(self) -> bool:
+        """Whether anybody hears of the verbs."""
+        return bool(self._listeners)
+
     def add_listener(self, listener: Heard) -> Heard:
         """Let the listener hear of every verb from now on."""
         self._listeners += (listener,)

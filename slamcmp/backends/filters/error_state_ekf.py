@@ -87,6 +87,8 @@ class ErrorStateEkf(LinearisingFilter):
 
     def update(self, frame: Frame) -> None:
         """Predict to the frame's pose, then take in its observations."""
+        if self._loops.take(frame):
+            return
         seen = self.construct(frame)
         self.solve(seen)
         self.marginalise(frame)

@@ -26,6 +26,7 @@ from slamcmp.backends.filters.charts import WorldChart
 from slamcmp.backends.filters.covariance import block_diagonal, stacked
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
 from slamcmp.backends.filters.linearisation import LatestEstimate
+from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.backends.robust import RobustKernel, robust_kernel
@@ -66,6 +67,7 @@ class IteratedEkf(ErrorStateEkf):
             problem, chart, LatestEstimate(), new_landmarks="update_first", smooth=smooth, kernel=kernel
         )
         self._iterations, self._tolerance = iterations, tolerance
+        self._loops = Loops(self, Recipe("WORLD", False, iterations=iterations, tolerance=tolerance))
 
     def solve(self, seen: Observed) -> None:
         """Gauss–Newton on the frame's cost until it rests."""

@@ -182,6 +182,16 @@ class Truth(LatestEstimate):
         self._landmarks = np.empty((0, truth.positions.shape[1]))
         self._T = truth.T_world_body[0]
 
+    @property
+    def true_landmarks(self) -> FloatArray:
+        """Those that have joined the state, (L, n)."""
+        return self._landmarks
+
+    def poses(self, frames: IntArray) -> FloatArray:
+        """The true poses at frames (K,), (K, n+1, n+1)."""
+        poses: FloatArray = self._truth.T_world_body[frames]
+        return poses
+
     def motion(
         self,
         k: int,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +12,22 @@ from slamcmp.backends.entries import Entries, entering, has_blind_side, with_ima
 from slamcmp.backends.filters.charts import Chart
 from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.loops import Loops
 from slamcmp.backends.filters.unanchored import UnanchoredFilter
 from slamcmp.backends.robust import DOUBTED, Kernel
 from slamcmp.backends.unanchored import Linearisation
 from slamcmp.models.sensors import entry_sensor
-from slamcmp.types import BoolArray, Estimate, FloatArray, Frame, IntArray, Landmarks, Problem, SensorModel
+from slamcmp.types import (
+    BoolArray,
+    Estimate,
+    FloatArray,
+    Frame,
+    IntArray,
+    Landmarks,
+    Problem,
+    SensorModel,
+    Trajectory,
+)
 
 
 class Observed(NamedTuple):
@@ -63,9 +74,37 @@ class MapFilter:
         if kernel is not None:
             P.make_robust(kernel, problem.sensor.dim)
             self._doubtful = DoubtfulLandmarks(problem.sensor)
+        self._loops = Loops(self)
+
+    def update(self, frame: Frame) -> None:
+        """Take in the next frame."""
+        raise NotImplementedError
+
+    def run(self, frames: Sequence[Frame]) -> Trajectory:
+        """Every frame of a stream: the online poses with their covariances.
+
+        Those of ``update`` and ``estimate`` frame by frame; where loops are compiled (loops.py) there is
+        no Python in between. Map, joint covariance and diagnostics are those after the last.
+
+        Raises:
+            SlamcmpError: as ``update``; what came before is lost.
+        """
+        online = self._loops.run(frames)
+        if online is not None:
+            return online
+        answers = []
+        for frame in frames:
+            self.update(frame)
+            answers.append(self.estimate())
+        size = self._chart.n + 1
+        T = np.array([answer.T_world_body for answer in answers]).reshape(-1, size, size)
+        P = np.array([answer.P for answer in answers]).reshape(-1, self._chart.p, self._chart.p)
+        return Trajectory(np.array([frame.t for frame in frames]), T, P)
 
     def estimate(self) -> Estimate:
         """The current pose and its covariance."""
+        if self._loops.answer is not None:
+            return Estimate(*self._loops.answer)
         return Estimate(self._T, sandwich(self._chart.to_body(self._T), self._P.pose_block()))
 
     def landmarks(self) -> Landmarks:
@@ -118,6 +157,35 @@ class MapFilter:
             "downweighted": int((weights < DOUBTED).sum()),
             "restarted": self._restarted,
         }
+
+    @property
+    def covariance(self) -> ErrorCovariance:
+        """P, for compiled loops."""
+        return self._P
+
+    @property
+    def sensor(self) -> SensorModel:
+        """The problem's."""
+        return self._sensor
+
+    @property
+    def mean_pose(self) -> FloatArray:
+        """The mean of the pose, (n+1, n+1)."""
+        return self._T
+
+    @property
+    def mean_landmarks(self) -> FloatArray:
+        """The means of the landmarks, (L, n)."""
+        return self._landmarks
+
+    @property
+    def places(self) -> dict[int, int]:
+        """A landmark's place in the map by its name, for compiled loops to add to."""
+        return self._number
+
+    def show(self, T: FloatArray, landmarks: FloatArray) -> None:
+        """Take the means that compiled loops have come to, pose and landmarks (L, n), for one's own."""
+        self._T, self._landmarks = T, landmarks
 
     def _begin(self, frame: Frame) -> None:
         """What diagnostics tell is from now on about this frame; landmarks that it contradicts leave."""

@@ -31,6 +31,7 @@ from slamcmp.backends.filters.charts import Chart, LeftInvariantChart, RightInva
 from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.linearisation import LatestEstimate
+from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.geometry import exp
@@ -85,6 +86,9 @@ class UkfSlam(ErrorStateEkf):
         )
         self._alpha, self._beta, self._kappa = alpha, beta, kappa
         self._sampled_motion = retraction == "additive"
+        name = {"additive": "WORLD", "right_invariant": "RIGHT", "left_invariant": "LEFT"}[retraction]
+        points = (alpha, beta, kappa)
+        self._loops = Loops(self, Recipe(name, new_landmarks == "join_first", sigma_points=points))
 
     def _predict(self, frame: Frame, seen: IntArray) -> None:
         if not self._sampled_motion:

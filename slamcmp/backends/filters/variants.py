@@ -30,6 +30,7 @@ from slamcmp.backends.filters.linearisation import (
     ObservabilityConstrained,
     Truth,
 )
+from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.registry import back_ends
 from slamcmp.types import GroundTruth, Problem
@@ -56,6 +57,7 @@ class WorldEkf(ErrorStateEkf):
         super().__init__(
             problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
         )
+        self._loops = Loops(self, Recipe("WORLD", new_landmarks == "join_first"))
 
 
 @back_ends.register("ekf_fej")
@@ -81,6 +83,8 @@ class FirstEstimatesEkf(ErrorStateEkf):
         chart = WorldChart(problem.sensor.space_dim)
         kernel = robust_kernel(robust, robust_width)
         super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth, kernel=kernel)
+        first = "FIRST" if new_landmark_jacobian == "predicted" else "FIRST_BUT_NEW"
+        self._loops = Loops(self, Recipe("WORLD", new_landmarks == "join_first", policy=first))
 
 
 @back_ends.register("ekf_oc")
@@ -106,6 +110,7 @@ class ObservabilityConstrainedEkf(ErrorStateEkf):
         chart = WorldChart(problem.sensor.space_dim)
         kernel = robust_kernel(robust, robust_width)
         super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth, kernel=kernel)
+        self._loops = Loops(self, Recipe("WORLD", new_landmarks == "join_first", policy="CONSTRAINED"))
 
 
 @back_ends.register("ekf_right_invariant")
@@ -126,6 +131,7 @@ class RightInvariantEkf(ErrorStateEkf):
         super().__init__(
             problem, chart, LatestEstimate(), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
         )
+        self._loops = Loops(self, Recipe("RIGHT", new_landmarks == "join_first"))
 
 
 @back_ends.register("ekf_ideal", needs_truth=True)
@@ -149,6 +155,8 @@ class IdealEkf(ErrorStateEkf):
     ) -> None:
         chart = WorldChart(problem.sensor.space_dim)
         kernel = robust_kernel(robust, robust_width)
-        super().__init__(
-            problem, chart, Truth(truth), new_landmarks=new_landmarks, smooth=smooth, kernel=kernel
+        policy = Truth(truth)
+        super().__init__(problem, chart, policy, new_landmarks=new_landmarks, smooth=smooth, kernel=kernel)
+        self._loops = Loops(
+            self, Recipe("WORLD", new_landmarks == "join_first", policy="TRUTH", truth=policy)
         )

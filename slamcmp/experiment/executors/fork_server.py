@@ -12,6 +12,7 @@ from multiprocessing import forkserver
 from pathlib import Path
 from types import ModuleType
 
+from slamcmp.backends.filters.loops import is_kept
 from slamcmp.errors import StorageError, UsageError
 from slamcmp.support.code_version import PACKAGE, file_digest, version_of
 
@@ -66,7 +67,8 @@ def _package_version() -> str:
         # It may be replaced at this moment.
         with contextlib.suppress(OSError):
             digests[str(path)] = file_digest(path)
-    return version_of(digests)
+    # A server that began before anything was compiled has not loaded it, and every job would.
+    return f"{version_of(digests)} {is_kept()}"
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 
 import slamcmp.experiment.job.worker  # noqa: F401
+from slamcmp.backends.filters.loops import is_kept, kernels
 from slamcmp.registry import back_ends, front_ends, metrics, sources
 from slamcmp.support.code_version import versions
 from slamcmp.support.plugin_models import parameter_model
@@ -15,5 +16,8 @@ for _registry in (sources, front_ends, back_ends):
     for _plugin in _registry:
         parameter_model(_plugin)
 versions()
+# Half a second from the cache; what is not there is compiled by the first who needs it, and in sight.
+if is_kept():
+    kernels()
 # What a collection in a worker would touch, it would have to copy.
 gc.freeze()

@@ -94,7 +94,8 @@ def test_poses_and_landmarks_in_space() -> None:
     assert_same_run(stream, 7, flushes=40)
 
 
-def test_while_everything_is_near_it_is_the_plain_filter_to_the_bit() -> None:
+def test_while_everything_is_near_it_is_the_plain_filter_to_the_bit(plain_filters: None) -> None:
+    """To rounding where the plain one is compiled: ``assert_same_run`` of the others."""
     stream, _, _ = toy_stream(frames=100, landmarks=20)
     postponed = assert_same_run(stream, 20, flushes=0)
     plain = EkfSlam(stream.problem)

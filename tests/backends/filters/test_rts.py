@@ -183,7 +183,7 @@ def test_rounding_does_not_grow_over_long_runs() -> None:
         assert (scale[:, 2] ** 2 <= np.array(online)[:, 2] * (1 + 1e-6)).all()
 
 
-def test_smoothing_keeps_the_filters_online_answers() -> None:
+def test_smoothing_keeps_the_filters_online_answers(plain_filters: None) -> None:
     stream, _ = world_of(2)
     plain, kept = (run(WorldEkf(stream.problem, smooth=smooth), stream) for smooth in (False, True))
     np.testing.assert_array_equal(plain.estimate().T_world_body, kept.estimate().T_world_body)
