@@ -120,7 +120,8 @@ def test_a_run_that_records_tells_no_times(results: Results) -> None:
     assert "No times" in "; ".join(caution.title for caution in cautions(results))
 
 
-def test_recording_is_part_of_the_key_and_changes_no_estimate(tmp_path: Path) -> None:
+def test_recording_is_part_of_the_key_and_changes_no_estimate(tmp_path: Path, plain_filters: None) -> None:
+    """To rounding where filters are compiled (tests/backends/filters/test_compiled.py)."""
     shipped = load_experiment(SHIPPED)
     ekf = tuple(each for each in shipped.back_ends if each.label == "EKF")
     experiment = replace(short(shipped, back_ends=ekf), record=None)
