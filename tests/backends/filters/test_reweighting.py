@@ -87,7 +87,7 @@ def test_linear_update_is_gtsams_robust_optimum(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(WIDTHS))
 @pytest.mark.parametrize("kind", [*FILTERS, Msckf])
-def test_a_wide_kernel_is_none_to_the_last_bit(kind: Any, name: str) -> None:
+def test_a_wide_kernel_is_none_to_the_last_bit(kind: Any, name: str, plain_filters: None) -> None:
     if kind not in (EkfSlam, UkfSlam, Msckf) and name not in ("huber", "gnc"):
         pytest.skip("the kernel's part is the same code")
     stream, _, _ = toy_stream(frames=15)
