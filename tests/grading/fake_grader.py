@@ -32,19 +32,27 @@ TESTS: tuple[tuple[str, str, float, float, Visibility], ...] = (
 )
 
 
-def _raise() -> None:
+def _raise(assignment: Path, submission: Path) -> None:
     raise RuntimeError("a fault in the grader")
 
 
-def _unavailable() -> None:
+def _unavailable(assignment: Path, submission: Path) -> None:
     raise SandboxUnavailable("this machine protects nothing")
 
 
-_FAULTS: dict[str, Callable[[], object]] = {
+def _append(file: Path) -> None:
+    file.write_text(f"{file.read_text()}\n# another line\n")
+
+
+_FAULTS: dict[str, Callable[[Path, Path], object]] = {
     "raises": _raise,
-    "crashes": lambda: os.kill(os.getpid(), signal.SIGSEGV),
-    "hangs": lambda: time.sleep(600),
+    "crashes": lambda *_: os.kill(os.getpid(), signal.SIGSEGV),
+    "hangs": lambda *_: time.sleep(600),
     "refuses": _unavailable,
+    "leaves": lambda *_: os._exit(0),
+    # Whoever edits these files while a class is graded.
+    "sees_another_assignment": lambda assignment, _: _append(assignment / "assignment.yaml"),
+    "sees_another_submission": lambda _, submission: _append(submission),
 }
 
 
@@ -95,7 +103,7 @@ def grade(
             save_outcome(outcome(False), out)
         text = "" if loaded is None else loaded.files[loaded.entry].decode()
         for fault in re.findall(r"^# the grader (\w+)", text, re.MULTILINE):
-            _FAULTS[fault]()
+            _FAULTS[fault](assignment, submission)
     return outcome(True)
 
 

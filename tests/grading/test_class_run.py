@@ -21,6 +21,7 @@ from slamcmp.errors import UsageError
 from slamcmp.grading.results.class_summary import summarise
 from slamcmp.grading.results.gradebook import GradebookRow
 from slamcmp.grading.results.outcome import load_outcome
+from slamcmp.grading.run import class_run
 from slamcmp.grading.run.class_run import ClassResult, run_class
 from tests.grading.outcomes import example
 from tests.grading.school import HONEST, WRONG, build
@@ -186,6 +187,41 @@ def test_only_what_changed_is_graded_again(place: Path) -> None:
     (place / "assignment" / "__pycache__").mkdir()
     (place / "assignment" / "__pycache__" / "solution.pyc").write_bytes(b"x")
     assert _run(place, secret=b"another").graded == 0
+
+
+@pytest.mark.parametrize("what", ["assignment", "submission"])
+def test_a_grade_of_something_else_than_the_key_says_is_no_grade(place: Path, what: str) -> None:
+    _small_class(place, ada=f"{HONEST}\n# the grader sees_another_{what}\n")
+    (row,) = _run(place).rows
+    assert row.ended == "crashed"
+    done = json.loads((_of(place, "ada") / "done.json").read_text())
+    assert done["message"] == f"the {what} was changed while this was graded; give the same command again"
+    # Also where the change is taken back: what was graded in between is not taken for a grade of this.
+    (place / "assignment" / "assignment.yaml").write_text("name: toy\n")
+    _small_class(place, ada=HONEST)
+    (row,) = _run(place).rows
+    assert row.ended == "ok"
+    assert _scores(place) == {"ada": 30.0}
+
+
+def test_a_grade_by_other_code_than_the_run_began_with_is_no_grade(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    versions = iter(["before", "after", "before", "before"])
+    monkeypatch.setattr(class_run, "_code", lambda: next(versions))
+    _small_class(place, ada=HONEST)
+    (row,) = _run(place).rows
+    assert row.ended == "crashed"
+    assert "slamcmp was changed while" in json.loads((_of(place, "ada") / "done.json").read_text())["message"]
+    (row,) = _run(place).rows
+    assert (row.ended, _scores(place)) == ("ok", {"ada": 30.0})
+
+
+def test_a_grader_that_ends_well_without_a_whole_result_has_not_ended_well(place: Path) -> None:
+    _small_class(place, ada=f"{HONEST}\n# the grader leaves\n")
+    (row,) = _run(place).rows
+    assert (row.ended, _scores(place)) == ("crashed", {"ada": 10.0})
+    assert "no whole result" in json.loads((_of(place, "ada") / "done.json").read_text())["message"]
 
 
 def test_faults_of_the_grader_keep_what_was_scored_and_say_so(place: Path) -> None:

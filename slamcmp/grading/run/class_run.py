@@ -15,8 +15,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,10 @@ class ClassResult:
 @dataclass(frozen=True)
 class _Job:
     submitted: Submitted
+    content: Mapping[str, Any]
+    """All that decides the grade, by digests."""
     key: str
+    """sha256 of it."""
     request: GradeRequest
     log: Path
 
@@ -107,7 +110,7 @@ def run_class(
             "format": FORMAT,
             "assignment": digest_of_folder(assignment),
             "entry": entry,
-            "code": code_version(sorted(Path(__file__).parents[1].rglob("*.py"))),
+            "code": _code(),
             "versions": versions(),
             # Says whether the secret is the same one without telling which.
             "secret": hmac.digest(secret, b"class run", "sha256").hex()[:16],
@@ -186,10 +189,16 @@ class _Run:
         return GradeProcess(job.request, time_limit_s=self._limit_s, log=job.log, grader=self._grader)
 
     def _finish(self, job: _Job, ended: Ended) -> None:
+        key = job.key
+        if changed := _changed(job):
+            # Graded from something else than the key says: it is graded again, whatever the change becomes.
+            ended, key = replace(ended, ending="crashed", message=changed), ""
         outcome = outcome_of(job.request, ended)
+        if ended.ending == "ok" and not outcome.complete:
+            ended = replace(ended, ending="crashed", message="the grader left no whole result")
         if ended.ending != "ok":
             write_pages(outcome, job.request)
-        done = {"key": job.key, "ended": ended.ending, "message": ended.message, "seconds": ended.seconds}
+        done = {"key": key, "ended": ended.ending, "message": ended.message, "seconds": ended.seconds}
         text = json.dumps(done, indent=1) + "\n"
         path = Path(job.request.outcome).with_name("done.json")
         write_atomically(path, lambda file: file.write(text.encode()))
@@ -216,14 +225,12 @@ def _job(
     pages: bool,
 ) -> _Job:
     place = folder / "students" / entry.folder
-    content = json.dumps(
-        {
-            **computed_from,
-            "student": entry.student,
-            "submission": digest_of_submission(entry.path, computed_from["entry"]),
-        },
-        sort_keys=True,
-    )
+    content = {
+        **computed_from,
+        "student": entry.student,
+        "submission": digest_of_submission(entry.path, computed_from["entry"]),
+    }
+    key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     request = GradeRequest(
         assignment=str(assignment),
         submission=str(entry.path.absolute()),
@@ -234,7 +241,29 @@ def _job(
         student_page=str(place / "feedback.html") if pages else "",
         staff_page=str(place / "staff.html") if pages else "",
     )
-    return _Job(entry, hashlib.sha256(content.encode()).hexdigest(), request, place / "grader.log")
+    return _Job(entry, content, key, request, place / "grader.log")
+
+
+def _code() -> str:
+    return code_version(sorted(Path(__file__).parents[1].rglob("*.py")))
+
+
+def _changed(job: _Job) -> str:
+    """What a grading was computed from that is not what it was when the class run began; empty: all is."""
+    entry, assignment = job.submitted, Path(job.request.assignment)
+    now = {
+        "slamcmp": ("code", _code),
+        "the assignment": ("assignment", lambda: digest_of_folder(assignment)),
+        "the submission": ("submission", lambda: digest_of_submission(entry.path, job.content["entry"])),
+    }
+    for name, (key, digest) in now.items():
+        try:
+            same = digest() == job.content[key]
+        except (OSError, SlamcmpError):
+            same = False
+        if not same:
+            return f"{name} was changed while this was graded; give the same command again"
+    return ""
 
 
 def _done_before(job: _Job, *, rerun_failed: bool) -> GradebookRow | None:
