@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from slamcmp.experiment.config.experiment import Experiment, load_experiment
     from slamcmp.experiment.runner import Interrupted
     from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
+    from slamcmp.results.answer import answer
     from slamcmp.results.store import Results
     from slamcmp.types import (
         Detections,
@@ -60,6 +61,7 @@ _HOMES = {
     "slamcmp.experiment.config.experiment": ("Experiment", "load_experiment"),
     "slamcmp.experiment.runner": ("Interrupted",),
     "slamcmp.protocols": ("BackEnd", "Diagnosed", "JointEstimator", "Mapper", "Selective", "Smoother"),
+    "slamcmp.results.answer": ("answer",),
     "slamcmp.results.store": ("Results",),
     "slamcmp.types": (
         "Detections",
@@ -80,6 +82,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 __all__ = [
     "run",
     "load_results",
+    "answer",
     "advise",
     "make_stream",
     "run_back_end",

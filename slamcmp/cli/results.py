@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from slamcmp.cli.run import COLUMNS_HELP, show_page
+
 RESULTS_HELP = "A results folder, or the name of an experiment below results/."
 
 
@@ -25,7 +27,9 @@ def add_commands(app: typer.Typer) -> None:
         epilog="Examples: slamcmp plot results/quickstart --figure map --format png | "
         "slamcmp plot quickstart --figure dial --style paper --width 88mm --format pdf"
     )(plot)
-    app.command(epilog="Example: slamcmp report results/quickstart")(report)
+    app.command(epilog="Example: slamcmp report results/quickstart --columns online_ate,final_ate --open")(
+        report
+    )
 
 
 def plot(
@@ -86,14 +90,24 @@ def _panel(text: str) -> int | None:
     return int(text)
 
 
-def report(results: Annotated[str, typer.Argument(help=RESULTS_HELP)]) -> None:
+def report(
+    results: Annotated[str, typer.Argument(help=RESULTS_HELP)],
+    columns: Annotated[str | None, typer.Option(help=COLUMNS_HELP)] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="Show it in the browser.")] = False,
+) -> None:
     """Write an experiment's report as one HTML file that needs no network."""
     from slamcmp.report import write_report
     from slamcmp.results.partial import missing_runs
     from slamcmp.results.store import find_results, load_results
+    from slamcmp.results.summary import checked_columns, with_columns
 
+    chosen = [] if columns is None else [name.strip() for name in columns.split(",")]
+    checked_columns(chosen, "--columns")
     found = load_results(find_results(results))
     missing = missing_runs(found)
     if missing is not None:
         print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)
-    print(write_report(found, found.folder / "report.html"))
+    path = write_report(with_columns(found, chosen) if chosen else found, found.folder / "report.html")
+    print(path)
+    if open_page:
+        show_page(path)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from slamcmp.errors import UsageError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
 UPRIGHT_ROWS = 6
 """A table with at most so many rows is printed with one line a column, unless told otherwise."""
 FILE_WIDTH = 160
+COLUMNS_HELP = "Metric columns of the tables, separated by commas; 'slamcmp list metrics' shows them."
 EMPTY = "–"
 
 
@@ -40,6 +44,10 @@ def run(
     results: Annotated[Path | None, typer.Option(help="Results folder; default: results/NAME.")] = None,
     executor: Annotated[str, typer.Option(help="Where jobs run: processes or serial.")] = "processes",
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
+    columns: Annotated[str | None, typer.Option(help=COLUMNS_HELP)] = None,
+    open_page: Annotated[
+        bool, typer.Option("--open", help="Show the report in the browser when it is written.")
+    ] = False,
 ) -> None:
     """Run an experiment, or what is left of it, and print its table.
 
@@ -60,7 +68,10 @@ def run(
     from slamcmp.experiment.runner import Interrupted, run_experiment
     from slamcmp.support.interruption import ignore_further
 
+    if open_page and no_report:
+        raise UsageError("--open shows the report that --no-report does not write: leave one of them out")
     experiment = load_experiment(find_experiment(config))
+    chosen = _checked_columns(columns)
     seeds = None if seed is None else [seed]
     folder = results or Path("results") / experiment.name
     if dry_run:
@@ -87,11 +98,13 @@ def run(
         # The table now; figures and page take a while, and `slamcmp report` makes them when they are wanted.
         found, interruption, no_report = error.results, error, True
     from slamcmp.report import summary_table, write_report
+    from slamcmp.results.answer import answer
     from slamcmp.results.partial import missing_runs
-    from slamcmp.results.summary import terminal_table
+    from slamcmp.results.summary import in_words, terminal_table, with_columns
     from slamcmp.results.verdict import judge
 
-    summary = summary_table(found) if as_json else terminal_table(found)
+    found = with_columns(found, chosen) if chosen else found
+    summary = summary_table(found) if as_json else in_words(terminal_table(found))
     failed = found.trials[found.trials["status"] != "ok"]
     verdict, missing = judge(found), missing_runs(found)
     if not as_json:
@@ -111,6 +124,7 @@ def run(
                     "folder": str(found.folder),
                     "report": None if report is None else str(report),
                     "manifest": json_value(found.manifest),
+                    "answer": asdict(answer(found)),
                     "summary": json_rows(summary.reset_index()),
                     "trials": json_rows(found.trials),
                     "missing": None if missing is None else json_value(missing.as_dict()),
@@ -122,12 +136,35 @@ def run(
         )
     elif report is not None:
         print(f"report: {report}")
+    if open_page and report is not None:
+        show_page(report)
     if fault is not None:
         raise fault
     if interruption is not None:
         raise interruption
     if len(failed):
         raise typer.Exit(1)
+
+
+def show_page(path: Path) -> None:
+    """Open a page in the browser; where there is none, say so, and where the page is."""
+    import webbrowser
+
+    if not webbrowser.open(path.resolve().as_uri()):
+        print(f"no browser was found; the page is {path}", file=sys.stderr)
+
+
+def _checked_columns(text: str | None) -> list[str]:
+    """What --columns names.
+
+    Raises:
+        UsageError: one of them is no metric column, before anything runs.
+    """
+    if text is None:
+        return []
+    from slamcmp.results.summary import checked_columns
+
+    return checked_columns([name.strip() for name in text.split(",")], "--columns")
 
 
 def json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -223,12 +260,14 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 
 
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
+    from slamcmp.results.answer import answer
     from slamcmp.results.partial import missing_runs
     from slamcmp.results.summary import priors_in_body_axes, warm_started
 
     missing = missing_runs(results)
     if not summary.empty:
         print_table(summary)
+        print(f"\n{answer(results)}\n")
     if missing is not None:
         print(missing.sentence())
     for row in failed.itertuples():

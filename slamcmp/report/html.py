@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import importlib.resources
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,17 +14,21 @@ from typing import Any
 import jinja2
 import numpy as np
 import pandas as pd
+from markupsafe import Markup
 
 from slamcmp.report.cautions import cautions
 from slamcmp.report.faults import fault_table
 from slamcmp.report.figures.draw import Drawn, each_figure, fault_text, figure_bytes
 from slamcmp.report.published import order_rows, value_rows
+from slamcmp.results.answer import answer
 from slamcmp.results.certainty import certainty_table
 from slamcmp.results.grid import reference_name, swept_columns, value_text
 from slamcmp.results.numbers import interval_text, number_text
 from slamcmp.results.store import Results
 from slamcmp.results.summary import paired_table, summary_columns, summary_intervals, summary_table
+from slamcmp.results.unfinished import unfinished_runs
 from slamcmp.results.verdict import judge
+from slamcmp.results.words import parameters_in_words
 from slamcmp.support.atomic import write_atomically
 
 SVG_LIMIT = 300_000
@@ -85,30 +91,43 @@ def report_html(results: Results) -> str:
     certainty = certainty_table(results)
     faults, more_faults = fault_table(results)
     swept = swept_columns(results.trials)
+    words = parameters_in_words(swept)
+    unfinished, more_unfinished = unfinished_runs(results)
     manifest = results.manifest
     verdict = judge(results)
     published = [] if verdict is None else [value_rows(verdict), order_rows(verdict)]
     names = manifest.get("config", {}).get("figures")
     shown = [_embed(drawn) for drawn in each_figure(results, names)]
+    script = _script()
     return environment.get_template("report.html.j2").render(
+        script=Markup(script),
+        script_sources=" ".join(map(_source_hash, (script,))),
         name=manifest.get("name", results.folder.name),
         question=manifest.get("question") or "",
         description=manifest.get("description") or "",
         reference=reference_name(results),
+        answer=answer(results),
         cautions=cautions(results),
-        key_headers=[name for name in summary.columns if name not in {c.full_header for c in columns}],
+        unfinished=unfinished,
+        more_unfinished=more_unfinished,
+        key_headers=[
+            words.get(name, name)
+            for name in summary.columns
+            if name not in {column.full_header for column in columns}
+        ],
+        alike=_alike(summary),
         groups=_groups([column.group for column in columns]),
         columns=columns,
         summary_rows=_with_intervals(_rows(summary, swept), list(summary.columns), results),
         search=_search_text(manifest),
         verdict=verdict,
         published=[(list(table.columns), _rows(table, swept)) for table in published if len(table)],
-        certainty_headers=list(certainty.columns),
+        certainty_headers=[words.get(name, name) for name in certainty.columns],
         certainty_rows=_rows(certainty, swept),
-        fault_headers=list(faults.columns),
+        fault_headers=[words.get(name, name) for name in faults.columns],
         fault_rows=_rows(faults, swept),
         more_faults=more_faults,
-        paired_headers=list(paired.columns),
+        paired_headers=[words.get(name, name) for name in paired.columns],
         paired_rows=_rows(paired, swept),
         figures=[figure for figure in shown if figure.sources],
         skipped=[figure for figure in shown if not figure.sources],
@@ -118,6 +137,15 @@ def report_html(results: Results) -> str:
         versions=sorted(manifest.get("versions", {}).items()),
         config=json.dumps(manifest.get("config", {}), indent=2, default=str, ensure_ascii=False),
     )
+
+
+def _script() -> str:
+    return importlib.resources.files("slamcmp.report").joinpath("templates/page.js").read_text("utf-8")
+
+
+def _source_hash(script: str) -> str:
+    """As a content security policy names the scripts that may run: no other one can."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 def cell(value: Any) -> Cell:
@@ -143,6 +171,17 @@ def _rows(table: pd.DataFrame, swept: list[str]) -> list[list[Cell]]:
     return [
         [swept_cell(value) if name in swept else cell(value) for name, value in row.items()]
         for row in table.to_dict("records")
+    ]
+
+
+def _alike(table: pd.DataFrame) -> list[int]:
+    """Positions of the columns that say the same in every row: a reader may leave them out."""
+    if len(table) < 2:
+        return []
+    return [
+        index
+        for index, name in enumerate(table.columns)
+        if index and table[name].map(lambda value: cell(value).text).nunique() == 1
     ]
 
 
@@ -211,7 +250,8 @@ def _groups(names: list[str]) -> list[tuple[str, int]]:
 def _trial_headers(results: Results) -> list[str]:
     swept = swept_columns(results.trials)
     metrics = [column.full_header for column in summary_columns(results)]
-    return ["trial", "seed", *swept, "back end", "status", "completion", "message", "stream", *metrics]
+    words = parameters_in_words(swept).values()
+    return ["trial", "seed", *words, "back end", "status", "completion", "message", "stream", *metrics]
 
 
 def _trial_rows(results: Results) -> list[list[Cell]]:

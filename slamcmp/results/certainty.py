@@ -15,20 +15,35 @@ from slamcmp.metrics.statistics import (
     median_interval,
     wilson_interval,
 )
-from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension
+from slamcmp.results.grid import (
+    at_point,
+    grid_points,
+    has_values,
+    labels,
+    own_columns,
+    own_points,
+    pose_dimension,
+    swept_columns,
+)
 from slamcmp.results.numbers import interval_text, number_text, share_text
 from slamcmp.results.partial import comparable
 from slamcmp.results.store import Results
 
 
 def runs_by_point(results: Results) -> Iterator[tuple[dict[str, Any], str, pd.DataFrame]]:
-    """Grid point, label and runs, point by point and back end by back end."""
-    for point in grid_points(results.trials):
+    """Grid point, label and runs, point by point and back end by back end.
+
+    A back end comes once for each combination of the values that it has: never again for a parameter of
+    another one. A value that is not its own is in no point.
+    """
+    swept = swept_columns(results.trials)
+    points = {label: own_points(results.trials, label) for label in labels(results)}
+    for index, point in enumerate(grid_points(results.trials)):
         here = at_point(results.trials, point)
-        for label in labels(results):
+        for label, mine in points.items():
             own = here[here["label"] == label]
-            if not own.empty:
-                yield point, label, own
+            if not own.empty and index in mine:
+                yield {path: point[path] for path in own_columns(swept, label)}, label, own
 
 
 def certainty_table(results: Results) -> pd.DataFrame:
@@ -76,7 +91,7 @@ def _row(
 ) -> dict[str, Any]:
     row: dict[str, Any] = {
         "back end": label,
-        **point,
+        **{path: point.get(path) for path in swept_columns(own)},
         "runs": len(own),
         "failed (95 %)": failure_rate(own),
         "trajectory": which,

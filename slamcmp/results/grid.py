@@ -32,6 +32,31 @@ def grid_points(trials: pd.DataFrame) -> list[dict[str, Any]]:
     ]
 
 
+def own_columns(swept: Sequence[str], *back_ends: str) -> list[str]:
+    """Of the swept columns those that change what these back ends do.
+
+    The source and the front end concern all of them, ``back_ends.LABEL.parameter`` only its own.
+    """
+    return [
+        path
+        for path in swept
+        if not path.startswith("back_ends.") or path.split(".", 1)[1].rpartition(".")[0] in back_ends
+    ]
+
+
+def own_points(trials: pd.DataFrame, *back_ends: str) -> set[int]:
+    """Which of the :func:`grid_points` are the first with their combination of values that these have.
+
+    Where a parameter is swept that only another back end has, their runs are the same at every value of it:
+    one point stands for all.
+    """
+    mine = own_columns(swept_columns(trials), *back_ends)
+    first: dict[tuple[str, ...], int] = {}
+    for index, point in enumerate(grid_points(trials)):
+        first.setdefault(tuple(value_text(point[path]) for path in mine), index)
+    return set(first.values())
+
+
 def at_point(table: pd.DataFrame, point: Mapping[str, Any]) -> pd.DataFrame:
     """The rows of one grid point; paths the table does not have are ignored."""
     chosen = pd.Series(True, index=table.index)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
+from slamcmp.results.answer import answer
 from slamcmp.results.grid import swept_columns, value_text
 from slamcmp.results.numbers import number_text
 from slamcmp.results.partial import missing_runs
@@ -20,11 +21,18 @@ KEY_FIGURES = (
     "update_median_ms",
 )
 MOST_ROWS = 40
+MOST_LINES = 8
 
 
 def results_html(results: Results) -> str:
     """A few facts, and medians over the runs that are ok."""
-    facts = [("question", str(results.manifest.get("question") or "")), ("runs", run_counts(results))]
+    told = answer(results)
+    facts = [
+        ("question", str(results.manifest.get("question") or "")),
+        ("answer", told.text),
+        *(("over the sweep", line) for line in told.lines[:MOST_LINES]),
+        ("runs", run_counts(results)),
+    ]
     missing = missing_runs(results)
     if missing is not None:
         facts.append(("missing", missing.sentence()))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from slamcmp.errors import UsageError
 from slamcmp.metrics import metric_columns
 from slamcmp.metrics.statistics import (
     Interval,
@@ -19,11 +22,22 @@ from slamcmp.metrics.statistics import (
     sign_test,
     signed_rank_test,
 )
+from slamcmp.registry import did_you_mean
 from slamcmp.results.certainty import failure_rate, runs_by_point, worst_run
-from slamcmp.results.grid import at_point, grid_points, has_values, labels, pose_dimension, swept_columns
+from slamcmp.results.grid import (
+    at_point,
+    grid_points,
+    has_values,
+    labels,
+    own_columns,
+    own_points,
+    pose_dimension,
+    swept_columns,
+)
 from slamcmp.results.numbers import interval_text, number_text
 from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import IMPORTED, Results
+from slamcmp.results.words import parameters_in_words
 
 TRAJECTORY_METRICS = ("ate", "ate_aligned", "heading_rmse_deg", "pose_nees")
 RUN_METRICS = (
@@ -69,7 +83,7 @@ class SummaryColumn:
 
 
 def summary_table(results: Results) -> pd.DataFrame:
-    """One row per grid point and back end: counts of runs, then medians over the runs that are ok.
+    """One row per back end and combination of its swept values: counts, then medians of the ok runs.
 
     Every error column says whether it scores the online or the final trajectory; ``failed`` names the
     statuses of the runs that are in no median; ``origin``, where any run is imported, marks those;
@@ -78,7 +92,7 @@ def summary_table(results: Results) -> pd.DataFrame:
     """
     missing, results = missing_runs(results), comparable(results)
     columns = summary_columns(results)
-    gated = has_values(results.trials, ["own_gate"])
+    gated, swept = has_values(results.trials, ["own_gate"]), swept_columns(results.trials)
     foreign = has_values(results.trials, ["back_end"]) and (results.trials["back_end"] == IMPORTED).any()
     rows: list[dict[str, Any]] = []
     for point, label, own in runs_by_point(results):
@@ -87,7 +101,7 @@ def summary_table(results: Results) -> pd.DataFrame:
         rows.append(
             {
                 "back end": label,
-                **point,
+                **{path: point.get(path) for path in swept},
                 **(
                     {"origin": IMPORTED if (own["back_end"] == IMPORTED).all() else "run here"}
                     if foreign
@@ -137,6 +151,37 @@ def priors_in_body_axes(results: Results) -> list[str]:
     ]
 
 
+def checked_columns(names: Sequence[str], asked_by: str = "columns") -> list[str]:
+    """The names of metric columns as they are.
+
+    Raises:
+        UsageError: there is no such column, or one is named twice.
+    """
+    known = metric_columns()
+    for index, name in enumerate(names):
+        if name not in known:
+            raise UsageError(f"{asked_by}: no metric column {name!r}{did_you_mean(name, known)}")
+        if name in names[:index]:
+            raise UsageError(f"{asked_by}: {name!r} stands twice")
+    return list(names)
+
+
+def with_columns(results: Results, names: Sequence[str]) -> Results:
+    """The results with these metric columns in their tables, in place of those that the experiment chose.
+
+    Raises:
+        UsageError: there is no such column, or one is named twice.
+    """
+    names = checked_columns(names)
+    config = {**results.manifest.get("config", {}), "columns": list(names)}
+    return replace(results, manifest={**results.manifest, "config": config})
+
+
+def in_words(table: pd.DataFrame) -> pd.DataFrame:
+    """A table whose swept columns are called as a reader says them: for eyes, not for programs."""
+    return table.rename(columns=parameters_in_words(swept_columns(table)))
+
+
 def summary_intervals(results: Results) -> list[dict[str, Interval]]:
     """For each row of :func:`summary_table` the 95 % interval of each median, by the column's heading."""
     results = comparable(results)
@@ -184,12 +229,15 @@ def terminal_table(results: Results) -> pd.DataFrame:
 
 
 def summary_columns(results: Results) -> list[SummaryColumn]:
-    """The metric columns of the summary that have a value, online before final before the whole run's."""
+    """The metric columns of the summary that have a value, online before final before the whole run's.
+
+    Those that the experiment chose (``columns:``) in the order in which it did; else the usual ones.
+    """
     known = metric_columns()
     space = "SE(3)" if pose_dimension(results.frames) == 6 else "SE(2)"
     names = [f"{which}_{metric}" for which in ("online", "final") for metric in TRAJECTORY_METRICS]
     columns = []
-    for name in [*names, *RUN_METRICS]:
+    for name in results.manifest.get("config", {}).get("columns") or [*names, *RUN_METRICS]:
         if name not in known or not has_values(results.trials, [name]):
             continue
         metric = known[name]
@@ -202,26 +250,28 @@ def summary_columns(results: Results) -> list[SummaryColumn]:
 def paired_table(results: Results) -> pd.DataFrame:
     """ATE of each back end over that of the first one on the same stream, trial by trial.
 
-    One row per grid point, trajectory and back end: pairs; geometric mean of the ratio with the interval and
-    the two-sided p value of Student's t on its logarithm, which is the test that ``slamcmp seeds`` plans;
-    median ratio and median difference with their distribution-free intervals; pairs in which it was better,
-    and the p values of the sign test and of Wilcoxon's signed-rank test on the same logarithm, which assume
-    less. Tests need five pairs. The reference itself is left out. Where a back end gates for itself,
-    ``own gates`` says so of both sides.
+    One row per trajectory, back end and combination of the swept values that one of the two has: pairs;
+    geometric mean of the ratio with the interval and the two-sided p value of Student's t on its logarithm,
+    which is the test that ``slamcmp seeds`` plans; median ratio and median difference with their
+    distribution-free intervals; pairs in which it was better, and the p values of the sign test and of
+    Wilcoxon's signed-rank test on the same logarithm, which assume less. Tests need five pairs. The reference
+    itself is left out. Where a back end gates for itself, ``own gates`` says so of both sides.
     """
     results = comparable(results)
     rows: list[dict[str, Any]] = []
     swept = swept_columns(results.trials)
     gated = has_values(results.trials, ["own_gate"])
-    for point in grid_points(results.trials):
+    points_of = functools.cache(functools.partial(own_points, results.trials))
+    for index, point in enumerate(grid_points(results.trials)):
         here = at_point(results.trials, point)
         for which in ("online", "final"):
-            errors = _errors_by_trial(here, f"{which}_ate")
+            errors = errors_by_trial(here, f"{which}_ate")
             compared = [label for label in labels(results) if label in errors.columns]
             for label in compared[1:]:
                 pairs = errors[[compared[0], label]].dropna()
-                if pairs.empty:
+                if pairs.empty or index not in points_of(compared[0], label):
                     continue
+                own = own_columns(swept, compared[0], label)
                 ratio = pairs[label] / pairs[compared[0]]
                 mean_ratio = ratio_interval(pairs[label], pairs[compared[0]])
                 difference = paired_interval(pairs[label], pairs[compared[0]])
@@ -229,7 +279,7 @@ def paired_table(results: Results) -> pd.DataFrame:
                 enough = len(pairs) >= ENOUGH_SEEDS
                 rows.append(
                     {
-                        **{path: point[path] for path in swept},
+                        **{path: point[path] if path in own else None for path in swept},
                         "trajectory": which,
                         "back end": label,
                         "compared with": compared[0],
@@ -256,7 +306,7 @@ def _gates(rows: pd.DataFrame, label: str, other: str) -> str:
     return f"both {own}" if own == others else f"{own} against {others}"
 
 
-def _errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:
+def errors_by_trial(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     """Trials by labels; failed runs and the reference's own zero are left out."""
     if column not in rows.columns:
         return pd.DataFrame()

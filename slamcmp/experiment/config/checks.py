@@ -305,6 +305,16 @@ class Checker:
                 known = did_you_mean(name, figures.names())
                 self._errors.add(("figures", index), f"unknown figure {name!r}{known}")
 
+    def columns(self, names: Sequence[str]) -> None:
+        from slamcmp.metrics import metric_columns
+
+        known = metric_columns()
+        for index, name in enumerate(names):
+            if name not in known:
+                self._errors.add(("columns", index), f"no metric column {name!r}{did_you_mean(name, known)}")
+            elif name in names[:index]:
+                self._errors.add(("columns", index), f"{name!r} stands twice")
+
 
 def _tells_its_covariance(plugin: Plugin) -> bool:
     """What is no class may make anything: it is asked when it has."""

@@ -66,6 +66,9 @@ class ExperimentFields(BaseModel):
     )
     record: Record | None = Field(None, description="What to record besides; runs that record tell no times")
     figures: list[str] | None = Field(None, description="Names of figures; default: all that apply")
+    columns: list[str] | None = Field(
+        None, min_length=1, description="Metric columns of the tables, in this order; default: the usual ones"
+    )
     published: Published | None = Field(
         None, description="Numbers from a publication; the results are shown beside them, with a verdict"
     )
@@ -91,6 +94,7 @@ class Experiment:
     memory_limit_mb: float | None = None
     record: Record | None = None
     figures: tuple[str, ...] | None = None
+    columns: tuple[str, ...] | None = None
     published: Published | None = None
     question: str = ""
     description: str = ""
@@ -142,6 +146,7 @@ class Experiment:
             "memory_limit_mb": self.memory_limit_mb,
             "record": None if self.record is None else self.record.model_dump(),
             "figures": None if self.figures is None else list(self.figures),
+            "columns": None if self.columns is None else list(self.columns),
             "published": None if self.published is None else self.published.model_dump(),
         }
 
@@ -229,6 +234,8 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
         checker.record(record, labels)
     if fields.figures is not None:
         checker.figures(fields.figures)
+    if fields.columns is not None:
+        checker.columns(fields.columns)
     published = None if fields.published is None else Published.model_validate(fields.published)
     if published is not None:
         check_published(errors, published, None if None in chosen else labels, fields.sweep)
@@ -250,6 +257,7 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
         memory_limit_mb=fields.memory_limit_mb,
         record=record,
         figures=None if fields.figures is None else tuple(fields.figures),
+        columns=None if fields.columns is None else tuple(fields.columns),
         published=published,
         question=fields.question,
         description=fields.description,

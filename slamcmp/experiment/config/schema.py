@@ -6,6 +6,7 @@ from typing import Any
 
 from slamcmp.experiment.config.component import OWN_GATE
 from slamcmp.experiment.config.experiment import ExperimentFields
+from slamcmp.metrics import metric_columns
 from slamcmp.registry import Plugin, Registry, back_ends, figures, front_ends, sources
 from slamcmp.support.plugin_models import parameter_model
 
@@ -27,6 +28,13 @@ def experiment_schema() -> dict[str, Any]:
     properties["front_end"] = {**_choices(front_ends, definitions), "default": front_end_default}
     properties["back_ends"]["items"] = _choices(back_ends, definitions, back_end=True)
     properties["figures"] = {"type": ["array", "null"], "items": {"enum": figures.names()}}
+    properties["columns"] = {
+        "type": ["array", "null"],
+        "minItems": 1,
+        "uniqueItems": True,
+        "items": {"enum": list(metric_columns())},
+        "description": properties["columns"]["description"],
+    }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
