@@ -39,7 +39,7 @@ def save(
     """Make the stream that every back end of a trial gets, and store it."""
     from slamcmp.frontend.stream_file import save_stream
 
-    stream, _ = _made(config, trial)
+    stream, _ = trial_stream(config, trial)
     save_stream(stream, out)
     print(f"{out}: {len(stream.frames)} frames, digest {stream.digest}")
 
@@ -63,7 +63,7 @@ def export(
     if stream.endswith(".npz"):
         measured = load_stream(Path(stream))
     else:
-        measured, log = _made(stream, trial)
+        measured, log = trial_stream(stream, trial)
     try:
         write_g2o(out, measured, own_ids=None if log is None else log.own_ids)
     except OSError as error:
@@ -72,8 +72,12 @@ def export(
     print(f"{out}: {len(measured.frames)} poses, {seen} observations ({format.value})")
 
 
-def _made(config: str, trial: int) -> tuple[MeasurementStream, Log]:
-    """The stream of an experiment's trial, and its log."""
+def trial_stream(config: str, trial: int) -> tuple[MeasurementStream, Log]:
+    """The stream of an experiment's trial, and its log.
+
+    Raises:
+        UsageError: there is no such trial.
+    """
     from slamcmp.errors import UsageError
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment

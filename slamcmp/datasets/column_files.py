@@ -27,6 +27,9 @@ UNITS: dict[str, dict[str, float]] = {
     "speed": {"m_s": 1.0, "mm_s": 1e-3, "km_h": 1 / 3.6},
     "turn": {"rad_s": 1.0, "deg_s": pi / 180},
     "count": {"ticks": 1.0},
+    "length, squared": {"m2": 1.0},
+    "length times angle": {"m_rad": 1.0},
+    "angle, squared": {"rad2": 1.0},
 }
 """By kind of quantity: each unit and what it is in seconds, metres and radians."""
 
@@ -37,6 +40,9 @@ QUANTITIES: dict[str, str] = {
     **{"v": "speed", "omega": "turn", "left": "count", "right": "count"},
     **dict.fromkeys(("sigma_x", "sigma_y", "sigma_range"), "length"),
     **dict.fromkeys(("sigma_theta", "sigma_bearing"), "angle"),
+    **dict.fromkeys(("cov_xx", "cov_xy", "cov_yy"), "length, squared"),
+    **dict.fromkeys(("cov_xtheta", "cov_ytheta"), "length times angle"),
+    "cov_thetatheta": "angle, squared",
 }
 ID = "id"
 """A landmark's name: a whole number, empty where the sensor has none."""

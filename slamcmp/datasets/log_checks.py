@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slamcmp.datasets.column_files import Table, read_table
 from slamcmp.datasets.plain_motion import KINDS, Motion, read_motion
+from slamcmp.datasets.plain_roles import Role, roles_of
 from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
 from slamcmp.errors import SlamcmpError
 from slamcmp.geometry import se2, wrap
@@ -22,7 +24,9 @@ from slamcmp.types import FloatArray
 
 GAP = 2.5
 """Times the usual step: from there on a step is a gap."""
-OFFSETS_S = np.arange(-200, 201) * 0.01
+LONG_GAP_S = 0.5
+"""What is interpolated over a longer gap is compared with nothing."""
+OFFSETS_S: FloatArray = np.linspace(-2.0, 2.0, 401)
 """Clock offsets that are tried."""
 LARGE_OFFSET_S = 0.03
 LARGE_SCALE = 0.02
@@ -33,13 +37,46 @@ LARGE_BIAS = 0.25
 """Of a sensor's mean error, in its own standard deviations."""
 
 
+@dataclass(frozen=True)
+class AgainstTruth:
+    """Odometry beside the truth."""
+
+    offsets_s: FloatArray
+    misfit: FloatArray
+    """At each offset one minus the correlation of speeds, and the same of yaw rates, added."""
+    offset_s: float
+    speeds: tuple[FloatArray, FloatArray]
+    """The odometry's [m/s] and the truth's, at the same instants by that offset."""
+    turns: tuple[FloatArray, FloatArray]
+    """The yaw rates [rad/s], likewise."""
+
+
+@dataclass(frozen=True)
+class ComponentErrors:
+    """Of one component of the detections the errors against truth, and what was made of them."""
+
+    unit: str
+    t: FloatArray
+    errors: FloatArray
+    middle: float
+    sigma: float
+    """Robust: of the median's absolute deviations."""
+
+
 @dataclass
 class Report:
-    """What was found in a log."""
+    """What was found in a log, in words and as what a plot shows."""
 
     facts: list[str] = field(default_factory=list)
     findings: list[str] = field(default_factory=list)
     """What is wrong, each in one line."""
+    stamps: dict[str, FloatArray] = field(default_factory=dict)
+    """By file name the instants (rows,) [s], in order."""
+    against_truth: AgainstTruth | None = None
+    sightings: dict[int, int] = field(default_factory=dict)
+    """By landmark."""
+    errors: dict[str, ComponentErrors] = field(default_factory=dict)
+    """By component."""
 
 
 @dataclass
@@ -56,7 +93,7 @@ def check_files(
 ) -> Report:
     """Look into the files of one log; what each holds, its columns tell.
 
-    A table of ``t, x, y, theta`` is the truth where another is the odometry, or alone.
+    Of two tables of ``t, x, y, theta`` their names tell which is the odometry (plain_roles.py).
     """
     report, log = Report(), _Log()
     tables: list[Table] = []
@@ -72,12 +109,14 @@ def check_files(
                 tables.append(read_table(path))
         except SlamcmpError as error:
             report.findings.append(str(error))
-    for table in tables:
+    roles = roles_of(tables, truth_is_known=log.truth is not None)
+    for table, role in zip(tables, roles, strict=True):
         report.findings += table.warnings
         if "t" in table.columns:
-            _stamps(table, report)
+            # Several detections of one instant are usual, and pauses between them; not so in other files.
+            _stamps(table, report, alone=role != "detections")
         try:
-            _sort_in(table, log, metres_per_tick, track_m)
+            _sort_in(table, role, log, metres_per_tick, track_m)
         except SlamcmpError as error:
             report.findings.append(str(error))
     if log.odometry is not None and log.detections is not None:
@@ -92,10 +131,11 @@ def check_files(
     return report
 
 
-def _stamps(table: Table, report: Report) -> None:
+def _stamps(table: Table, report: Report, *, alone: bool) -> None:
     """Steps back, repeated stamps, gaps."""
     t, name = table.columns["t"], table.path.name
     instants = np.unique(t)
+    report.stamps[name] = instants
     steps = np.diff(t)
     back = np.flatnonzero(steps < 0)
     if back.size:
@@ -104,8 +144,7 @@ def _stamps(table: Table, report: Report) -> None:
             f"{back.size} such rows"
         )
     repeated = t.size - instants.size
-    # Several detections of one instant are usual; two odometry rows are not.
-    if repeated and table.ids is None:
+    if repeated and alone:
         first = int(np.flatnonzero(steps == 0)[0]) + 1 if (steps == 0).any() else 0
         report.findings.append(
             f"{table.where(first)}: a time stamp for the second time, the first of {repeated}"
@@ -116,7 +155,7 @@ def _stamps(table: Table, report: Report) -> None:
     report.facts.append(
         f"{name}: {t.size} rows over {instants[-1] - instants[0]:.6g} s, usually {usual:.3g} s apart"
     )
-    if table.ids is None:
+    if alone:
         wide = np.flatnonzero(np.diff(instants) > GAP * usual)
         if wide.size:
             longest = wide[np.argmax(np.diff(instants)[wide])]
@@ -128,12 +167,14 @@ def _stamps(table: Table, report: Report) -> None:
             )
 
 
-def _sort_in(table: Table, log: _Log, metres_per_tick: float | None, track_m: float | None) -> None:
-    if table.ids is not None and "t" in table.columns:
+def _sort_in(
+    table: Table, role: Role, log: _Log, metres_per_tick: float | None, track_m: float | None
+) -> None:
+    if role == "detections":
         log.detections = table
-    elif table.ids is not None:
+    elif role == "landmarks":
         log.landmarks = table
-    elif table.has("t", *KINDS["poses"]) and (log.truth is None):
+    elif role == "truth" and log.truth is None and table.has("t", *KINDS["poses"]):
         order = np.unique(table.columns["t"], return_index=True)[1]
         poses = np.stack([table.columns[name][order] for name in KINDS["poses"]], axis=1)
         log.truth = table.path, table.columns["t"][order], poses
@@ -160,6 +201,9 @@ def _against_truth(motion: Motion, truth: tuple[Path, FloatArray, FloatArray], r
     """Clock offset and scale of the odometry."""
     path, stamps, poses = truth
     grid = np.arange(max(motion.t[0], stamps[0]) + 2.5, min(motion.t[-1], stamps[-1]) - 2.5, 0.02)
+    apart = _far_from_gaps(grid, motion.t) & _far_from_gaps(grid, stamps)
+    # A log that is nothing but gaps is compared as it is.
+    grid = grid[apart] if apart.sum() >= 100 else grid
     if grid.size < 100 or stamps.size < 10:
         report.facts.append(
             f"{path.name}: too little in common with the odometry to compare clocks and scales"
@@ -198,6 +242,9 @@ def _against_truth(motion: Motion, truth: tuple[Path, FloatArray, FloatArray], r
             f"{offset:+.2f}"
         )
     theirs = rates(stamps, grid + offset, heading), rates(stamps, grid + offset, path_length)
+    report.against_truth = AgainstTruth(
+        OFFSETS_S, np.array(misfit), offset, (own[1], theirs[1]), (own[0], theirs[0])
+    )
     for what, a, b in zip(("turns", "distances"), own, theirs, strict=True):
         if not a.std() > 1e-6:
             continue
@@ -211,10 +258,22 @@ def _against_truth(motion: Motion, truth: tuple[Path, FloatArray, FloatArray], r
             )
 
 
+def _far_from_gaps(grid: FloatArray, known: FloatArray) -> NDArray[np.bool_]:
+    """Which instants, moved by any of the offsets, lie where something was recorded: (grid,)."""
+    steps = np.diff(known)
+    wide = np.flatnonzero(steps > max(GAP * float(np.median(steps)), LONG_GAP_S))
+    far = np.ones(grid.size, dtype=bool)
+    reach = float(OFFSETS_S[-1]) + 0.5
+    for k in wide.tolist():
+        far &= (grid < known[k] - reach) | (grid > known[k + 1] + reach)
+    return far
+
+
 def _landmarks(table: Table, sites: Table | None, report: Report) -> None:
-    names = table.ids or []
+    names = table.ids or [None] * len(table.lines)
     counts = Counter(name for name in names if name is not None)
     unnamed = sum(name is None for name in names)
+    report.sightings = {name: counts[name] for name in sorted(counts)}
     if counts:
         numbers = sorted(counts.values())
         report.facts.append(
@@ -283,6 +342,7 @@ def _innovations(
         error = wrap(error) if name == "bearing" else error
         middle = float(np.median(error))
         sigma = 1.4826 * float(np.median(np.abs(error - middle)))
+        report.errors[name] = ComponentErrors(unit, table.columns["t"][rows], error, middle, sigma)
         report.facts.append(
             f"{name}: error {middle:+.3g} {unit}, sigma {sigma:.3g} {unit} (robust), {rows.size} detections"
         )

@@ -55,7 +55,9 @@ def recording(
     detection_offset_s: float = 0.0,
     truth_offset_s: float = 0.0,
     truth_max_gap_s: Positive = MAX_GAP_S,
+    frames: Literal["detections", "odometry"] = "detections",
     start: Literal["truth", "origin"] = "truth",
+    start_pose: tuple[float, float, float] | None = None,
     prior_position_sigma_m: NotNegative = 1e-3,
     prior_heading_sigma_rad: NotNegative = 1e-3,
 ) -> Log:
@@ -65,10 +67,12 @@ def recording(
     wheel counts ``left, right`` (with ``metres_per_tick``, ``track_m``). ``detections``: ``t, id`` and
     ``range, bearing`` or ``x, y`` in the body frame; their sigmas are columns ``sigma_…``, or parameters.
     ``truth``: ``t, x, y, theta`` (sigmas make a covariance), or a .txt file in TUM's format; interpolated
-    between poses at most ``truth_max_gap_s`` apart, elsewhere a gap. ``landmarks``: ``id, x, y``. The
-    ``…_offset_s`` are added to the stamps of each file. ``along_…``, ``across_…`` and
-    ``turn_sigma_…_sqrt_s`` are densities of the odometry's noise: variance grows with time. ``start`` at the
-    first true pose that is known at a frame, or at the origin.
+    between poses at most ``truth_max_gap_s`` apart, elsewhere a gap. ``landmarks``: ``id, x, y``.
+    The ``…_offset_s`` are added to the stamps of each file. ``along_…``, ``across_…`` and
+    ``turn_sigma_…_sqrt_s`` are densities of the odometry's noise: variance grows with time. There is a frame
+    for each instant of a detection, with ``frames: odometry`` for each row of the odometry too. ``start`` at
+    the first true pose that is known at a frame, or at the origin; ``start_pose`` (x [m], y [m], theta [rad])
+    at a pose that is told.
 
     Raises:
         MissingDataError: a file is not there.
@@ -87,7 +91,8 @@ def recording(
         sensor_name, per_frame = "range_bearing", [np.empty(0, np.int64)] * t.size
     else:
         sensor_name = _sensor_of(seen)
-        t, per_frame = _instants(seen, detection_offset_s, motion.t, warnings)
+        others = motion.t if frames == "odometry" else np.empty(0)
+        t, per_frame = _instants(seen, detection_offset_s, motion.t, others, warnings)
     true = None if truth is None else _truth_at(find_data_file(truth), t, truth_offset_s, truth_max_gap_s)
     densities = np.array([along_sigma_m_sqrt_s, across_sigma_m_sqrt_s, turn_sigma_rad_sqrt_s])
     sites = None if landmarks is None else read_table(find_data_file(landmarks))
@@ -113,7 +118,7 @@ def recording(
         t,
         [_frame_of(seen, rows, MEASURED[sensor_name], sigmas, numbers) for rows in per_frame],
         sensor,
-        start=PlanarStart(start, prior_position_sigma_m, prior_heading_sigma_rad),
+        start=PlanarStart(start, prior_position_sigma_m, prior_heading_sigma_rad, start_pose),
         truth=true,
         landmarks=_sites(sites, numbers),
         warnings=warnings,
@@ -135,9 +140,9 @@ def _sensor_of(table: Table) -> str:
 
 
 def _instants(
-    table: Table, offset_s: float, known: FloatArray, warnings: list[str]
+    table: Table, offset_s: float, known: FloatArray, others: FloatArray, warnings: list[str]
 ) -> tuple[FloatArray, list[Any]]:
-    """The frames' times within those of the odometry, and the rows of the table at each."""
+    """The frames' times within the ``known`` ones, with the ``others``, and the rows of the table at each."""
     t = table.columns["t"] + offset_s
     inside = np.flatnonzero((t >= known[0]) & (t <= known[-1]))
     if not inside.size:
@@ -150,9 +155,10 @@ def _instants(
         warnings.append(
             f"{table.path.name}: {t.size - inside.size} detections are outside the odometry's time"
         )
-    times, place = np.unique(t[inside], return_inverse=True)
+    times = np.union1d(t[inside], others)
+    place = np.searchsorted(times, t[inside])
     order = np.argsort(place, kind="stable")
-    return times, np.split(inside[order], np.cumsum(np.bincount(place))[:-1])
+    return times, np.split(inside[order], np.cumsum(np.bincount(place, minlength=times.size))[:-1])
 
 
 def _truth_at(path: Path, t: FloatArray, offset_s: float, max_gap_s: float) -> PlanarTruth:

@@ -37,6 +37,8 @@ class PlanarStart:
     at: Literal["truth", "origin"]
     position_sigma_m: float
     heading_sigma_rad: float
+    pose: tuple[float, float, float] | None = None
+    """x [m], y [m], theta [rad]; instead of ``at``, where it is told."""
 
 
 def planar_log(
@@ -63,7 +65,9 @@ def planar_log(
     """
     told = list(warnings)
     first = np.eye(3)
-    if truth is not None and start.at == "truth":
+    if start.pose is not None:
+        first = se2(*start.pose)
+    elif truth is not None and start.at == "truth":
         known = np.flatnonzero(np.isfinite(truth.T_world_body).all(axis=(1, 2)))
         if not known.size:
             raise DataError(

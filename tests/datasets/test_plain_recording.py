@@ -15,7 +15,7 @@ from slamcmp.datasets.column_files import read_table
 from slamcmp.datasets.log_checks import check_files
 from slamcmp.datasets.plain_motion import Motion, read_motion
 from slamcmp.datasets.plain_recording import recording
-from slamcmp.errors import DataError, MissingDataError
+from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.experiment.runner import run_experiment
 from tests.datasets.plain_drive import Drive
 
@@ -285,6 +285,44 @@ def test_gaps(tmp_path):
         f"{files['truth']}:401: a gap of 1.55 s before this row, the longest of 2 above 2.5 times the "
         "usual 0.05 s"
     ]
+
+
+def test_what_is_interpolated_over_a_gap_is_compared_with_nothing(tmp_path):
+    files = Drive().write(tmp_path)
+    rows = files["truth"].read_text().splitlines()
+    files["truth"].write_text("\n".join(rows[:400] + rows[480:]) + "\n")
+    against = check_files(list(files.values())).against_truth
+    for own, theirs in (against.speeds, against.turns):
+        np.testing.assert_allclose(own, theirs, atol=0.02)
+
+
+def test_the_check_is_drawn(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    from slamcmp.report.figures.log_check import log_check_figure
+
+    drive = Drive(odometry_late_s=0.2, distance_scale=0.9, outliers=40)
+    files = [str(path) for path in drive.write(tmp_path).values()]
+    figure = log_check_figure(check_files([Path(name) for name in files]))
+    axes = {each.get_title(loc="left") or each.get_title(): each for each in figure.axes}
+    offset = axes["Clock offset -0.20 s"]
+    assert offset.lines[0].get_xdata()[np.argmin(offset.lines[0].get_ydata())] == pytest.approx(-0.2)
+    assert "Speeds: truth 0.900 × odometry" in axes
+    assert [bar.get_height() for bar in axes["Detections of each of 8 landmarks"].patches] == [149] * 8
+    errors = next(each for title, each in axes.items() if title.startswith("range: "))
+    assert [text.get_text() for text in errors.get_legend().get_texts()][1] == "beyond: 40"
+    assert "Time between rows, × the usual" in axes
+    # Without truth there is less to see, and it says so.
+    bare = log_check_figure(check_files([Path(name) for name in files[:2]]))
+    assert any("truth" in text.get_text() for each in bare.axes for text in each.texts)
+    with pytest.raises(SystemExit) as ended:
+        app(["data", "check", *files, "--plot", str(tmp_path / "log.png")])
+    assert ended.value.code == 1
+    assert f"drawn: {tmp_path / 'log.png'}\n" in capsys.readouterr().out
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(
+        UsageError, match=r"--plot log\.jpg: a file's name ends in one of \.png, \.svg, \.pdf"
+    ):
+        app(["data", "check", *files, "--plot", "log.jpg"], standalone_mode=False)
 
 
 def test_biased_and_wrong_detections(tmp_path):
