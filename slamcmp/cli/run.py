@@ -261,6 +261,7 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
     from slamcmp.results.answer import answer
+    from slamcmp.results.departures import departure_lines
     from slamcmp.results.partial import missing_runs
     from slamcmp.results.summary import priors_in_body_axes, warm_started
 
@@ -275,6 +276,8 @@ def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame
         print(f"{row.status!s}: {row.label!s} (trial {row.trial!s}{seed}): {row.message!s}", file=sys.stderr)
     for text in results.manifest.get("warnings", []):
         print(f"warning: {text}", file=sys.stderr)
+    for text in departure_lines(results):
+        print(f"left what its covariance allows: {text}")
     borrowed = warm_started(results)
     if borrowed:
         print(f"online columns of {', '.join(borrowed)}: the warm start's (iSAM2's by default), not its own")

@@ -38,7 +38,7 @@ class Departure:
     """The first frame at which a run left the band of NIS or NEES."""
 
     test: str
-    """``NIS`` or ``NEES``."""
+    """``NIS``, ``NEES`` or ``MAP`` (map_shift.py)."""
     k: int
     value: float
     limit: float
@@ -119,6 +119,10 @@ def _nis_departure(run: Run) -> Departure | None:
     if nis is None or dof is None or not nis.size:
         return None
     used = np.isfinite(nis) & np.isfinite(dof) & (dof > 0)
+    doubted = run.diagnostics.get("downweighted")
+    if doubted is not None:
+        # The NIS of a robust filter is that of least squares: an outlier that it doubted is not its fault.
+        used &= ~(doubted > 0)
     sums, dofs = (_window_sums(np.where(used, series, 0.0)) for series in (nis, dof))
     limits = chdtri(np.maximum(dofs, 1.0), FALSE_ALARM / nis.size)
     outside = np.flatnonzero((dofs > 0) & (sums > limits))
@@ -265,6 +269,12 @@ def _departure_text(departure: Departure, t: float) -> str:
         return (
             f"The innovations left their band {where}: NIS over {departure.window} frames was "
             f"{departure.value:.4g}, where a consistent run of this length stays below {departure.limit:.4g}."
+        )
+    if departure.test == "MAP":
+        return (
+            f"The map shifted {where}: of {departure.dof} sightings in {departure.window} frames "
+            f"{departure.value:.0f} lay further from where the run's own earlier poses put their landmarks "
+            "than both covariances allow."
         )
     return (
         f"The pose error left its band {where}: NEES was {departure.value:.4g}, where a consistent run of "

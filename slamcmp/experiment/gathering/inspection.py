@@ -15,6 +15,7 @@ from slamcmp.errors import SlamcmpError
 from slamcmp.experiment.gathering.own_names import own_names
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.metrics.divergence import explain, find_suspect, first_departure
+from slamcmp.metrics.map_shift import map_departure
 from slamcmp.types import GroundTruth, IntArray, MeasurementStream, Run
 
 FINDINGS: dict[str, Any] = {
@@ -40,6 +41,9 @@ class Inspector:
     def findings(self, run: Run) -> dict[str, Any]:
         """The columns :data:`FINDINGS` of one run."""
         departure = first_departure(run, self._truth, reference=self._borrowed)
+        if (self._truth is None or self._borrowed) and self._stream is not None:
+            known = [each for each in (departure, map_departure(self._stream, run)) if each is not None]
+            departure = min(known, key=lambda each: each.k, default=None)
         if departure is None and (run.status == "ok" or not run.online.t.size):
             return dict(FINDINGS)
         suspect = None
