@@ -33,8 +33,8 @@ SEEDS = 20
 TIME_LIMIT_S = 300.0
 SHARE_OF_ONE = 8
 """One back end on one trial may take the whole time divided by this."""
-SHARE_OF_ONE_ALONE = 2
-"""The same where there is one trial only."""
+LEFT_FOR_WINDOWS = 0.5
+"""Of the time: with one trial only, for which each may take all of it, windows begin with so much left."""
 FOR_WINDOWS = 0.25
 """Share of the time that windows of other lengths than 10 may need."""
 FOR_LADDER = 0.6
@@ -181,15 +181,22 @@ def _climb(
     frames = run(1, rungs()[:1]).trials["frames"]
     long = bool((frames > LONG).any())
     begin = time.monotonic()
-    results = run(1, rungs(long=long))
+    first: Sequence[int] = (10,)
+    if total == 1:
+        # Smoothers first: without truth all are held against them.
+        results = run(1, rungs(windows=(), long=long))
+        first = (10,) if clock.left() > LEFT_FOR_WINDOWS * clock.limit_s else ()
+    results = run(1, rungs(windows=first, long=long))
     cost_s = time.monotonic() - begin
     dropped = {
         str(row["label"]): f"timed out on the first trial ({row['message']})"
         for row in results.trials.to_dict("records")
         if row["status"] == "timed_out"
     }
+    if not first:
+        dropped[window(10)] = "was not tried: there was no time left (--time-limit-s)"
     affordable = 3 * total * _run_s(results, window(10)) < FOR_WINDOWS * clock.limit_s
-    lengths = WINDOWS if affordable else (10,)
+    lengths = WINDOWS if affordable else first
     chosen = [rung for rung in rungs(windows=lengths, long=long) if rung.label not in dropped]
     done = 1
     while (more := _next_count(done, total, clock, cost_s)) > done:
@@ -204,7 +211,7 @@ def _climb(
 
 def _limit_s(time_limit_s: float, samples: int) -> float:
     """Of one back end on one trial."""
-    return max(1.0, time_limit_s / (SHARE_OF_ONE if samples > 1 else SHARE_OF_ONE_ALONE))
+    return max(1.0, time_limit_s / (SHARE_OF_ONE if samples > 1 else 1))
 
 
 def _next_count(done: int, total: int, clock: _Clock, cost_s: float) -> int:

@@ -25,6 +25,7 @@ def advise(
     time_limit_s: float = 300.0,
     folder: str | os.PathLike[str] | None = None,
     jobs: int | None = None,
+    executor: str = "processes",
     progress: bool | None = None,
 ) -> Advice:
     """Run a short ladder of back ends on one's own problem and say which to take.
@@ -42,6 +43,7 @@ def advise(
         time_limit_s: for everything; at least one trial is made.
         folder: where results go; default ``results/NAME-advice``.
         jobs: how many jobs run at a time; default: one for each core. Times are truest with 1.
+        executor: where jobs run.
         progress: show progress; default: on a terminal and in a notebook.
 
     Raises:
@@ -70,5 +72,6 @@ def advise(
         time_limit_s=time_limit_s,
         folder=None if folder is None else os.fspath(folder),
         jobs=jobs,
+        executor=executor,
         progress=is_watched() if progress is None else progress,
     )
