@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,12 +83,19 @@ def stream_key(
     source: Component, front_end: Component, seed: int | None, snapshot: Snapshot | None = None
 ) -> str:
     """Of the stream that a source and a front end make from a seed."""
+    return stream_keys(source, front_end, snapshot)(seed)
+
+
+def stream_keys(
+    source: Component, front_end: Component, snapshot: Snapshot | None = None
+) -> Callable[[int | None], str]:
+    """The keys of the streams that a source and a front end make, by their seeds."""
     snapshot = snapshot or Snapshot()
-    return _hash(
+    return _hashes(
         {
             "source": [source.name, dict(source.parameters)],
             "front_end": [front_end.name, dict(front_end.parameters)],
-            "seed": seed,
+            "seed": _OPEN,
             "data": snapshot.data(source).digests,
             **snapshot.named(stream_code(source, front_end)),
         }
@@ -104,11 +111,22 @@ def run_key(
     snapshot: Snapshot | None = None,
 ) -> str:
     """Of a back end's run, with its scores, on the stream of that key."""
+    return run_keys(back_end, time_limit_s, memory_limit_mb, recording, snapshot)(stream)
+
+
+def run_keys(
+    back_end: Component,
+    time_limit_s: float,
+    memory_limit_mb: float | None,
+    recording: Mapping[str, Any] | None = None,
+    snapshot: Snapshot | None = None,
+) -> Callable[[str], str]:
+    """The keys of a back end's runs, by those of their streams."""
     snapshot = snapshot or Snapshot()
     data = snapshot.data(back_end).digests
-    key = _hash(
+    key_on = _hashes(
         {
-            "stream": stream,
+            "stream": _OPEN,
             "back_end": [back_end.name, dict(back_end.parameters), back_end.own_gate],
             "limits": [time_limit_s, memory_limit_mb],
             "recording": recording,
@@ -118,7 +136,7 @@ def run_key(
     )
     session = back_end.plugin().traits.get(SESSION)
     # The text of what a notebook defined is not known for sure: no other session may take its result over.
-    return key if session is None else f"{SESSION}-{session}-{key}"
+    return key_on if session is None else lambda stream: f"{SESSION}-{session}-{key_on(stream)}"
 
 
 def stream_code(source: Component, front_end: Component) -> set[Path]:
@@ -206,6 +224,20 @@ def _package(name: str) -> set[Path]:
     return set((PACKAGE / name).glob("*.py"))
 
 
-def _hash(content: dict[str, Any]) -> str:
-    text = json.dumps(content, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]
+_OPEN = "open: 5c1f3ad0-1a4b-4f0e-9a53-6a0a4f2f7d1c"
+"""Stands for the one field in which the keys of many jobs differ."""
+
+
+def _hashes(content: dict[str, Any]) -> Callable[[Any], str]:
+    """The hash of ``content`` by what stands in its open field: all else is written and hashed once."""
+    before, after = (
+        json.dumps(content, sort_keys=True, default=str).encode().split(json.dumps(_OPEN).encode())
+    )
+    begun = hashlib.sha256(before)
+
+    def with_value(value: Any) -> str:
+        hasher = begun.copy()
+        hasher.update(json.dumps(value).encode() + after)
+        return hasher.hexdigest()[:KEY_LENGTH]
+
+    return with_value

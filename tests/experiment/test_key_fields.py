@@ -237,3 +237,18 @@ def test_whatever_runs_in_a_job_is_in_its_key(tmp_path: Path) -> None:
         stored = load_run(run.result)
         assert stored is not None
         assert stored.run.status == "ok"
+
+
+def test_keys_of_many_seeds_are_those_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but the seed is written and hashed once; no file is looked at again for a further key."""
+    of_streams, of_runs = (
+        content_key.stream_keys(SOURCE, FRONT_END),
+        content_key.run_keys(BACK_END, 600.0, None),
+    )
+    singly = {seed: stream_key(SOURCE, FRONT_END, seed) for seed in (None, 0, 1, 2**53)}
+    runs = {key: run_key(key, BACK_END, 600.0, None) for key in singly.values()}
+    for name in ("stream_code", "run_code", "data_files"):
+        monkeypatch.setattr(content_key, name, lambda *_: pytest.fail("looked again"))
+    assert {seed: of_streams(seed) for seed in singly} == singly
+    assert {key: of_runs(key) for key in runs} == runs
+    assert len({*singly.values(), *runs.values()}) == 8

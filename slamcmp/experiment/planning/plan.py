@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,11 +40,13 @@ def plan_experiment(
     """Find out what is left to do, without doing it; the jobs whose keys are in ``tried`` are settled."""
     plan = Plan(make_trials(experiment))
     seen: set[str] = set(tried)
+    streams_there, runs_there = _names(folder / "streams"), _names(folder / "runs")
     for trial in plan.trials:
         if trial.stream.key in seen:
             continue
         try:
-            known = load_truth(truth_path(folder, trial.stream.key))
+            path = truth_path(folder, trial.stream.key)
+            known = load_truth(path) if path.name in streams_there else None
         except MemoryError:
             # Its worker, or its rows, will say so.
             known = None
@@ -54,7 +57,8 @@ def plan_experiment(
                 waiting = waiting or job.key in plan.runs
                 continue
             seen.add(job.key)
-            if _has_result(job, folder, rerun_failed):
+            path = run_path(folder, job.key)
+            if path.name in runs_there and _has_result(path, rerun_failed):
                 plan.reused += 1
                 if gone:
                     plan.standing.setdefault(trial.stream.key, []).append(job)
@@ -66,10 +70,18 @@ def plan_experiment(
     return plan
 
 
-def _has_result(job: RunJob, folder: Path, rerun_failed: bool) -> bool:
+def _names(folder: Path) -> set[str]:
+    """What lies there: one look at a folder, where a look for each of a sweep's jobs takes a minute."""
+    try:
+        return set(os.listdir(folder))
+    except OSError:
+        return set()
+
+
+def _has_result(path: Path, rerun_failed: bool) -> bool:
     """Whether a run's result can be used: it is there, and what it read besides is what it was."""
     try:
-        stored = load_run(run_path(folder, job.key))
+        stored = load_run(path)
     except MemoryError:
         # It will be a row that says so.
         return True

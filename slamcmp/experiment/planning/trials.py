@@ -10,10 +10,10 @@ from typing import Any
 from slamcmp.experiment.config.component import Component, swept_target
 from slamcmp.experiment.config.experiment import Experiment, grid
 from slamcmp.experiment.config.record import Record
-from slamcmp.experiment.content_key import Snapshot, run_code, run_key, stream_code, stream_key
+from slamcmp.experiment.content_key import Snapshot, run_code, run_keys, stream_code, stream_keys
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class StreamJob:
     """Make the measurement stream of a trial, and put its truth aside."""
 
@@ -27,7 +27,7 @@ class StreamJob:
     """What each declared data file looked like when it was hashed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class RunJob:
     """Run one back end over the stream of a trial."""
 
@@ -44,7 +44,7 @@ class RunJob:
     """What each declared data file looked like when it was hashed."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Trial:
     """One grid point with one seed or recording: one stream, and a run of each back end on it."""
 
@@ -71,21 +71,18 @@ def make_trials(experiment: Experiment) -> list[Trial]:
             source = source.with_parameter(parameter, value)
         made_by = snapshot.code(stream_code(source, front_end))
         run_by = [snapshot.code(run_code(each)) for each in back_ends]
+        key_of_stream = stream_keys(source, front_end, snapshot)
+        data = snapshot.data(source).stamps
+        of_runs = [
+            (run_keys(each, *limits, recording, snapshot), each, code, snapshot.data(each).stamps)
+            for each, code in zip(back_ends, run_by, strict=True)
+        ]
         for seed in experiment.seeds:
-            key = stream_key(source, front_end, seed, snapshot)
-            stream = StreamJob(key, source, front_end, seed, made_by, snapshot.data(source).stamps)
+            key = key_of_stream(seed)
+            stream = StreamJob(key, source, front_end, seed, made_by, data)
             runs = tuple(
-                RunJob(
-                    run_key(key, each, *limits, recording, snapshot),
-                    key,
-                    each,
-                    seed,
-                    *limits,
-                    record,
-                    code,
-                    snapshot.data(each).stamps,
-                )
-                for each, code in zip(back_ends, run_by, strict=True)
+                RunJob(key_on(key), key, each, seed, *limits, record, code, stamps)
+                for key_on, each, code, stamps in of_runs
             )
             sample = number if recording_of else seed
             name = next(iter(recording_of.values()), "")
