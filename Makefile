@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PYTEST_ARGS ?=
 
-.PHONY: demo test check install install-test bench slow docs-figures answer clean
+.PHONY: demo test check install install-test bench bench-check slow docs-figures answer clean
 
 demo: install
 	$(BIN)/slamcmp run experiments/victoria_park.yaml
@@ -23,12 +23,12 @@ check: install-test
 slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 $(PYTEST_ARGS)
 
+# All of them, whatever the others say; the table goes to benchmarks/results/.
 bench: install-test
-	$(BIN)/python benchmarks/ekf.py
-	$(BIN)/python benchmarks/postponed.py
-	$(BIN)/python benchmarks/monte_carlo.py
-	$(BIN)/python benchmarks/isam2.py
-	$(BIN)/python benchmarks/runner.py
+	$(BIN)/python benchmarks/all.py
+
+bench-check: install-test
+	$(BIN)/python benchmarks/all.py --check
 
 docs-figures: install
 	$(BIN)/python docs/make_figures.py
@@ -46,7 +46,7 @@ install-test: $(VENV)/.installed-test
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make demo PYTHON=python3.12" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) --editable .
+	$(INSTALL) --editable '.[fast]'
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/.installed
