@@ -15,6 +15,7 @@ from slamcmp.api.plugins import find_back_end, known_elsewhere
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment, parse_experiment
 from slamcmp.experiment.config.shipped import find_experiment
+from slamcmp.experiment.gathering.manifest import folder_for_seeds
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.registry import SESSION, Plugin, back_ends, in_session
 from slamcmp.results.store import Results, find_results
@@ -58,7 +59,8 @@ def run(
             ``name`` may be a class. A class that only this process has, from a notebook's cell say, runs in
             this process: it has no memory limit, its time limit is only looked at between frames, and it is
             run anew each time. The others run in worker processes and are reused, as ever.
-        folder: where results go; default ``results/NAME``, for a mapping without a name one for its content.
+        folder: where results go; default ``results/NAME``, for a mapping without a name one for its content;
+            where that has a table of other seeds than ``seeds``, one beside it.
         jobs: how many jobs run at a time; default: one for each core.
         seeds: how many (0, 1, …), or exactly these, in place of the experiment's own.
         rerun_failed: also run again what did not end well.
@@ -98,7 +100,8 @@ def run(
                 "(no worker process can import what a notebook's cell or a running program defined)",
                 file=sys.stderr,
             )
-        place = Path("results") / experiment.name if folder is None else Path(folder)
+        default = folder_for_seeds(Path("results") / experiment.name, chosen)
+        place = default if folder is None else Path(folder)
         try:
             return run_experiment(
                 experiment,

@@ -40,7 +40,9 @@ def run(
     ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would run, and stop.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print machine-readable results only.")] = False,
-    seed: Annotated[int | None, typer.Option(min=0, help="This seed in place of the file's.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="This seed only, beside the table of others.")
+    ] = None,
     results: Annotated[Path | None, typer.Option(help="Results folder; default: results/NAME.")] = None,
     executor: Annotated[str, typer.Option(help="Where jobs run: processes or serial.")] = "processes",
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
@@ -64,6 +66,7 @@ def run(
         warm_up()
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
+    from slamcmp.experiment.gathering.manifest import folder_for_seeds
     from slamcmp.experiment.planning.plan import plan_experiment
     from slamcmp.experiment.runner import Interrupted, run_experiment
     from slamcmp.support.interruption import ignore_further
@@ -73,7 +76,11 @@ def run(
     experiment = load_experiment(find_experiment(config))
     chosen = _checked_columns(columns)
     seeds = None if seed is None else [seed]
-    folder = results or Path("results") / experiment.name
+    folder = results or folder_for_seeds(Path("results") / experiment.name, seeds)
+    if folder.name != experiment.name and results is None:
+        print(
+            f"results/{experiment.name} keeps the table of its seeds; this run's is {folder}", file=sys.stderr
+        )
     if dry_run:
         plan = plan_experiment(
             experiment if seeds is None else experiment.with_seeds(seeds), folder, rerun_failed=rerun_failed

@@ -128,3 +128,19 @@ def test_imported_results_have_no_experiment(call: Command, folder: Path) -> Non
     code, _, error = call("repro", "imported")
     assert (code, error.count("\n")) == (2, 1)
     assert "imported trajectories have no experiment" in error
+
+
+def test_one_seed_does_not_replace_the_table_of_others(call: Command, folder: Path) -> None:
+    (folder / "mine.py").write_text(PLUGINS.read_text())
+    before = (folder / "results" / "e" / "manifest.json").read_bytes()
+    arguments = ("run", "e.yaml", "--no-report", "--executor", "serial", "--seed")
+    code, out, error = call(*arguments, "7")
+    assert code == 0, error
+    assert "results/e keeps the table of its seeds; this run's is results/e-seed-7" in error
+    assert "results-e-seed-7" in out.replace("/", "-")
+    assert (folder / "results" / "e" / "manifest.json").read_bytes() == before
+    assert slamcmp.load_results(folder / "results" / "e-seed-7").trials["seed"].tolist() == [7, 7]
+    # One seed of a table of one, and of none, has nothing to keep.
+    assert call(*arguments, "7", "--results", "results/e-seed-7")[0] == 0
+    found = slamcmp.run(folder / "e.yaml", seeds=[1, 9], executor="serial", progress=False)
+    assert found.folder.name == "e-seeds-1-9"

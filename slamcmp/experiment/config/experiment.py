@@ -20,7 +20,8 @@ from slamcmp.registry import did_you_mean
 from slamcmp.results.published import Published, check_published, published_keys
 from slamcmp.support.bounds import INTEGER_MAX, unusable_values
 from slamcmp.support.config_errors import ConfigErrors, ConfigSource
-from slamcmp.support.yaml_source import KeyPath, load_yaml
+from slamcmp.support.extended_yaml import load_extended
+from slamcmp.support.yaml_source import KeyPath
 
 Seed = Annotated[int, Field(ge=0, le=INTEGER_MAX)]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,127}$"
@@ -152,14 +153,14 @@ class Experiment:
 
 
 def load_experiment(path: Path | str) -> Experiment:
-    """Read and check one experiment file.
+    """Read and check one experiment file, and those that it extends.
 
     Raises:
         MissingDataError: there is no such file.
         ConfigError: it has mistakes; the message lists all of them with line and column.
     """
     path = Path(path)
-    return parse_experiment(load_yaml(path), path)
+    return parse_experiment(load_extended(path), path)
 
 
 def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:

@@ -8,6 +8,7 @@ from slamcmp.experiment.config.component import OWN_GATE
 from slamcmp.experiment.config.experiment import ExperimentFields
 from slamcmp.metrics import metric_columns
 from slamcmp.registry import Plugin, Registry, back_ends, figures, front_ends, sources
+from slamcmp.support.extended_yaml import EXTENDS, PRIVATE
 from slamcmp.support.plugin_models import parameter_model
 
 PROBABILITY_SCHEMA = {
@@ -35,9 +36,14 @@ def experiment_schema() -> dict[str, Any]:
         "items": {"enum": list(metric_columns())},
         "description": properties["columns"]["description"],
     }
+    # What a file leaves out, the one that it extends may have.
+    needed = [{"required": schema.pop("required")}, {"required": [EXTENDS]}]
+    properties[EXTENDS] = {"type": "string", "description": "Another file, over which this one is laid"}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
+        "anyOf": needed,
+        "patternProperties": {f"^{PRIVATE}": {"description": "For anchors"}},
         "title": "slamcmp experiment",
         "description": "One question, one source, one front end, several back ends.",
     }

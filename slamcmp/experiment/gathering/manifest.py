@@ -8,6 +8,7 @@ import linecache
 import platform
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from slamcmp.results.store import finite
 from slamcmp.support.code_version import PACKAGE, code_version, versions
 from slamcmp.support.paths import is_file
 
+SEEDS_NAMED = 8
+"""Of a folder, so many at most stand in its name."""
 WITH_DEFAULTS = frozenset({"source", "front_end", "back_ends"})
 """Keys of a configuration below which every parameter stands, whether it was given or not."""
 
@@ -70,6 +73,25 @@ def _text(target: Any) -> str | None:
 def now() -> str:
     """The time in UTC, ISO 8601 to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def folder_for_seeds(folder: Path, seeds: Sequence[int] | None) -> Path:
+    """``folder``, or one beside it where it has a table of other seeds, which a run of these would replace.
+
+    ``results/NAME-seed-7``; of no seeds in particular (None) it is the folder itself.
+    """
+    if seeds is None:
+        return folder
+    try:
+        known = set(json.loads((folder / "manifest.json").read_text())["seeds"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError):
+        return folder
+    if known <= set(seeds):
+        return folder
+    named = (
+        "-".join(map(str, seeds)) if len(seeds) <= SEEDS_NAMED else f"{seeds[0]}-and-{len(seeds) - 1}-more"
+    )
+    return folder.with_name(f"{folder.name}-seed{'s' if len(seeds) > 1 else ''}-{named}")
 
 
 def require_same_experiment(experiment: Experiment, folder: Path) -> None:
