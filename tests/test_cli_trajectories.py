@@ -82,7 +82,7 @@ def test_what_was_exported_is_compared_with_what_was_imported(call: Command) -> 
     )
     assert code == 0, error
     data = json.loads(out)
-    assert [row["back end"] for row in data["summary"]] == ["A", "B"]
+    assert [row["back_end"] for row in data["summary"]] == ["A", "B"]
     assert data["imports"][0]["covariance"] is True
     trials = load_results("results/i").trials.set_index("label")
     assert trials.loc["B", "final_ate"] < 1e-9 < trials.loc["A", "final_ate"]

@@ -31,6 +31,7 @@ from slamcmp.cli import (
     stream,
     trajectories,
 )
+from slamcmp.cli.output import equip, respect_no_color
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.support.messages import printable, told
 
@@ -62,6 +63,7 @@ for _commands in (
     regrade,
 ):
     _commands.add_commands(app)
+equip(app)
 
 _debug = False
 
@@ -88,6 +90,7 @@ def main() -> None:
     # Before numpy loads: several threads on small matrices only get into each other's way.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    respect_no_color()
     try:
         app()
     except SlamcmpError as error:

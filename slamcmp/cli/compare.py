@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slamcmp.cli import completion
+
 if TYPE_CHECKING:
     from slamcmp.results.comparison import Comparison, Judgement
 
@@ -40,10 +42,25 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def compare(
-    base: Annotated[str, typer.Argument(help="Results folder, or a name below results/: what was before.")],
-    others: Annotated[list[str], typer.Argument(help="One or more that are held against it.")],
+    base: Annotated[
+        str,
+        typer.Argument(
+            help="Results folder, or a name below results/: what was before.",
+            autocompletion=completion.results_folders,
+        ),
+    ],
+    others: Annotated[
+        list[str],
+        typer.Argument(
+            help="One or more that are held against it.", autocompletion=completion.results_folders
+        ),
+    ],
     metric: Annotated[
-        list[str] | None, typer.Option(help="Column of the trials table, repeatable; default: the errors.")
+        list[str] | None,
+        typer.Option(
+            help="Column of the trials table, repeatable; default: the errors.",
+            autocompletion=completion.metrics,
+        ),
     ] = None,
     back_end: Annotated[
         list[str] | None, typer.Option(help="Label of the base, repeatable; default: all.")

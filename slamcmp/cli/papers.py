@@ -12,6 +12,8 @@ from typing import Annotated
 
 import typer
 
+from slamcmp.cli import completion
+
 RESULTS_HELP = "A results folder, or the name of an experiment below results/."
 
 
@@ -40,7 +42,7 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def table(
-    results: Annotated[str, typer.Argument(help=RESULTS_HELP)],
+    results: Annotated[str, typer.Argument(help=RESULTS_HELP, autocompletion=completion.results_folders)],
     file_format: Annotated[TableFormat, typer.Option("--format", help="What to write.")] = TableFormat.latex,
     columns: Annotated[
         str | None,
@@ -78,7 +80,7 @@ def table(
 
 
 def repro(
-    results: Annotated[str, typer.Argument(help=RESULTS_HELP)],
+    results: Annotated[str, typer.Argument(help=RESULTS_HELP, autocompletion=completion.results_folders)],
     output: Annotated[
         Path | None, typer.Option(help="Folder to write to; default: repro in the results.")
     ] = None,

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from slamcmp.cli import completion
+from slamcmp.cli.output import answer, is_quiet
 from slamcmp.cli.run import COLUMNS_HELP, show_page
 
 RESULTS_HELP = "A results folder, or the name of an experiment below results/."
@@ -33,9 +35,12 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def plot(
-    results: Annotated[str, typer.Argument(help=RESULTS_HELP)],
+    results: Annotated[str, typer.Argument(help=RESULTS_HELP, autocompletion=completion.results_folders)],
     figure: Annotated[
-        list[str] | None, typer.Option(help="Name of a figure, repeatable; default: all that apply.")
+        list[str] | None,
+        typer.Option(
+            help="Name of a figure, repeatable; default: all that apply.", autocompletion=completion.figures
+        ),
     ] = None,
     formats: Annotated[str, typer.Option("--format", help="Formats, separated by commas.")] = "png,svg",
     width: Annotated[str | None, typer.Option(help="Of the figure, e.g. 88mm, 3.5in, 252pt.")] = None,
@@ -70,13 +75,14 @@ def plot(
         raise UsageError(f"--format {formats}: {unknown[0]!r} is not one of png, svg, pdf")
     found = load_results(find_results(results))
     missing = missing_runs(found)
-    if missing is not None:
+    if missing is not None and not is_quiet():
         print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)
     names = figure or found.manifest["config"].get("figures")
     drawn = draw_figures(found, names, found.folder / "figures", wanted, chosen)
+    answer(files=[str(path) for path in drawn], skipped=dict(drawn.skipped))
     for path in drawn:
         print(path)
-    for name, reason in drawn.skipped.items():
+    for name, reason in drawn.skipped.items() if not is_quiet() else ():
         print(f"{name}: not drawn: {reason}", file=sys.stderr)
 
 
@@ -91,7 +97,7 @@ def _panel(text: str) -> int | None:
 
 
 def report(
-    results: Annotated[str, typer.Argument(help=RESULTS_HELP)],
+    results: Annotated[str, typer.Argument(help=RESULTS_HELP, autocompletion=completion.results_folders)],
     columns: Annotated[str | None, typer.Option(help=COLUMNS_HELP)] = None,
     open_page: Annotated[bool, typer.Option("--open", help="Show it in the browser.")] = False,
 ) -> None:
@@ -105,9 +111,10 @@ def report(
     checked_columns(chosen, "--columns")
     found = load_results(find_results(results))
     missing = missing_runs(found)
-    if missing is not None:
+    if missing is not None and not is_quiet():
         print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)
     path = write_report(with_columns(found, chosen) if chosen else found, found.folder / "report.html")
+    answer(file=str(path))
     print(path)
     if open_page:
         show_page(path)

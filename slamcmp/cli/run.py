@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slamcmp.cli import completion
+from slamcmp.cli.output import is_quiet
 from slamcmp.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,7 +35,13 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def run(
-    config: Annotated[str, typer.Argument(help="Experiment file, or the name of a shipped experiment.")],
+    config: Annotated[
+        str,
+        typer.Argument(
+            help="Experiment file, or the name of a shipped experiment.",
+            autocompletion=completion.experiments,
+        ),
+    ],
     jobs: Annotated[int | None, typer.Option(min=1, help="Jobs at a time; default: one a core.")] = None,
     rerun_failed: Annotated[
         bool, typer.Option("--rerun-failed", help="Run again what did not end well.")
@@ -77,7 +85,7 @@ def run(
     chosen = _checked_columns(columns)
     seeds = None if seed is None else [seed]
     folder = results or folder_for_seeds(Path("results") / experiment.name, seeds)
-    if folder.name != experiment.name and results is None:
+    if folder.name != experiment.name and results is None and not is_quiet():
         print(
             f"results/{experiment.name} keeps the table of its seeds; this run's is {folder}", file=sys.stderr
         )
@@ -96,7 +104,7 @@ def run(
             rerun_failed=rerun_failed,
             seeds=seeds,
             executor=executor,
-            progress=not as_json,
+            progress=not (as_json or is_quiet()),
             command=" ".join(["slamcmp", *sys.argv[1:]]),
         )
     except Interrupted as error:
@@ -132,7 +140,7 @@ def run(
                     "report": None if report is None else str(report),
                     "manifest": json_value(found.manifest),
                     "answer": asdict(answer(found)),
-                    "summary": json_rows(summary.reset_index()),
+                    "summary": json_rows(with_stable_keys(summary, found)),
                     "trials": json_rows(found.trials),
                     "missing": None if missing is None else json_value(missing.as_dict()),
                     "published": None if verdict is None else json_value(verdict.as_dict()),
@@ -172,6 +180,14 @@ def _checked_columns(text: str | None) -> list[str]:
     from slamcmp.results.summary import checked_columns
 
     return checked_columns([name.strip() for name in text.split(",")], "--columns")
+
+
+def with_stable_keys(summary: pd.DataFrame, results: Results) -> pd.DataFrame:
+    """The summary with columns called as in the trials table: headings are words, and words change."""
+    from slamcmp.results.summary import summary_columns
+
+    known = {column.full_header: column.name for column in summary_columns(results)}
+    return summary.rename(columns=lambda name: known.get(name, str(name).replace(" ", "_")))
 
 
 def json_rows(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slamcmp.cli import completion
+
 if TYPE_CHECKING:
     from slamcmp.results.power import SeedPlan
 
@@ -24,9 +26,16 @@ def add_commands(app: typer.Typer) -> None:
 
 def seeds(
     experiment: Annotated[
-        str, typer.Argument(help="Results folder of a pilot, or the experiment (file or name) it belongs to.")
+        str,
+        typer.Argument(
+            help="Results folder of a pilot, or the experiment (file or name) it belongs to.",
+            autocompletion=completion.results_folders,
+        ),
     ],
-    metric: Annotated[str, typer.Option(help="Column of the trials table, e.g. online_ate.")],
+    metric: Annotated[
+        str,
+        typer.Option(help="Column of the trials table, e.g. online_ate.", autocompletion=completion.metrics),
+    ],
     difference: Annotated[float, typer.Option(min=0.0, help="Difference to be seen, in the metric's unit.")],
     relative: Annotated[
         bool,

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slamcmp.cli import completion
+from slamcmp.cli.output import answer
 from slamcmp.errors import UsageError
 from slamcmp.registry import (
     back_ends,
@@ -45,11 +47,17 @@ def add_commands(app: typer.Typer) -> None:
 
 def list_plugins(
     kind: Annotated[
-        str | None, typer.Argument(help=f"One of {', '.join((*KINDS, *FILES))}; default: all.")
+        str | None,
+        typer.Argument(
+            help=f"One of {', '.join((*KINDS, *FILES))}; default: all.", autocompletion=completion.kinds
+        ),
     ] = None,
     name: Annotated[
         str | None,
-        typer.Argument(help="A plug-in, to see its parameters; an experiment or assignment, to read it."),
+        typer.Argument(
+            help="A plug-in, to see its parameters; an experiment or assignment, to read it.",
+            autocompletion=completion.plugins,
+        ),
     ] = None,
 ) -> None:
     """List what experiments can be made of, or the parameters of one plug-in."""
@@ -57,34 +65,48 @@ def list_plugins(
         raise UsageError(f"unknown kind {kind!r}{did_you_mean(kind, [*KINDS, *FILES])}")
     if name is not None and kind in KINDS:
         _print_parameters(KINDS[kind].get(name))
+        answer(kind=kind, name=name, schema=parameter_schema(KINDS[kind].get(name)))
         return
     if name is not None:
         (_print_assignment if kind == "assignments" else _print_experiment)(name)
         return
     shipped = {"experiments": _experiments, "assignments": _assignments}
-    for each in (*KINDS, *FILES) if kind is None else (kind,):
+    asked = (*KINDS, *FILES) if kind is None else (kind,)
+    found = {each: shipped[each]() if each in shipped else _summaries(each) for each in asked}
+    answer(**{each: [{"name": name, "summary": text} for name, text in found[each]] for each in asked})
+    for each in asked:
         if kind is None:
             print(f"{each}:")
-        _print_pairs(shipped[each]() if each in shipped else _summaries(each), "  " if kind is None else "")
+        _print_pairs(found[each], "  " if kind is None else "")
 
 
 def schema() -> None:
     """Print the JSON Schema of experiment files, with every plug-in's parameters, for editors."""
     from slamcmp.experiment.config.schema import experiment_schema
 
-    print(json.dumps(experiment_schema(), indent=2))
+    schema = experiment_schema()
+    answer(schema=schema)
+    print(json.dumps(schema, indent=2))
 
 
 def doctor() -> None:
     """Check that this machine and installation can run experiments."""
     from slamcmp.cli.doctor import examine
 
-    well = True
-    for finding in examine():
+    well, findings = True, list(examine())
+    answer(findings=[{"what": each.what, "ok": each.ok, "detail": each.detail} for each in findings])
+    for finding in findings:
         well = well and finding.ok
         print(f"{'ok  ' if finding.ok else 'FAIL'} {finding.what}: {finding.detail}")
     if not well:
         raise typer.Exit(1)
+
+
+def parameter_schema(plugin: Plugin) -> dict[str, Any]:
+    """JSON Schema of a plug-in's parameters."""
+    from slamcmp.support.plugin_models import parameter_model
+
+    return parameter_model(plugin).model_json_schema()
 
 
 def _summaries(kind: str) -> list[tuple[str, str]]:

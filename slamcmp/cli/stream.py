@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slamcmp.cli import completion
+from slamcmp.cli.output import answer
+
 if TYPE_CHECKING:
     from slamcmp.types import Log, MeasurementStream
 
@@ -32,7 +35,13 @@ def add_commands(app: typer.Typer) -> None:
 
 
 def save(
-    config: Annotated[str, typer.Argument(help="Experiment file, or the name of a shipped experiment.")],
+    config: Annotated[
+        str,
+        typer.Argument(
+            help="Experiment file, or the name of a shipped experiment.",
+            autocompletion=completion.experiments,
+        ),
+    ],
     out: Annotated[Path, typer.Argument(help="The npz file to write.")],
     trial: Annotated[int, typer.Option(min=0, help="Which trial's stream.")] = 0,
 ) -> None:
@@ -41,6 +50,7 @@ def save(
 
     stream, _ = trial_stream(config, trial)
     save_stream(stream, out)
+    answer(file=str(out), frames=len(stream.frames), digest=stream.digest)
     print(f"{out}: {len(stream.frames)} frames, digest {stream.digest}")
 
 
@@ -69,6 +79,7 @@ def export(
     except OSError as error:
         raise StorageError(f"cannot write {out}: {error.strerror}") from error
     seen = sum(frame.ids.size for frame in measured.frames)
+    answer(file=str(out), format=format.value, poses=len(measured.frames), observations=seen)
     print(f"{out}: {len(measured.frames)} poses, {seen} observations ({format.value})")
 
 
@@ -102,6 +113,16 @@ def info(file: Annotated[Path, typer.Argument(help="A stored stream.")]) -> None
     frames, sensor = stream.frames, stream.problem.sensor
     ids = np.concatenate([frame.ids for frame in frames])
     parameters = ", ".join(f"{name}={value}" for name, value in sensor.parameters().items())
+    answer(
+        digest=stream.digest,
+        sensor={"name": sensor.name, **sensor.parameters()},
+        frames=len(frames),
+        begin_s=frames[0].t,
+        end_s=frames[-1].t,
+        observations=int(ids.size),
+        landmarks=int(np.unique(ids).size),
+        front_end={} if stream.report is None else dict(stream.report.totals()),
+    )
     print(f"digest       {stream.digest}")
     print(f"sensor       {sensor.name}{f' ({parameters})' if parameters else ''}")
     print(f"frames       {len(frames)}, {frames[0].t:g} s to {frames[-1].t:g} s")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slamcmp.cli import completion
 from slamcmp.errors import UsageError
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def _parameters(given: Sequence[str]) -> dict[str, Any]:
 
 
 def _print(found: Results, *, as_json: bool) -> None:
-    from slamcmp.cli.run import json_rows, json_value, print_table
+    from slamcmp.cli.run import json_rows, json_value, print_table, with_stable_keys
     from slamcmp.results.summary import summary_table
 
     table = summary_table(found)
@@ -163,7 +164,7 @@ def _print(found: Results, *, as_json: bool) -> None:
         content = {
             "folder": str(found.folder),
             "imports": json_value(found.manifest["imports"]),
-            "summary": json_rows(table.reset_index()),
+            "summary": json_rows(with_stable_keys(table, found)),
             "trials": json_rows(found.trials),
         }
         print(json.dumps(content, default=str, allow_nan=False))
@@ -175,7 +176,13 @@ def _print(found: Results, *, as_json: bool) -> None:
 
 
 def export(
-    run: Annotated[str, typer.Argument(help="Results folder or name below results/, or a run's npz file.")],
+    run: Annotated[
+        str,
+        typer.Argument(
+            help="Results folder or name below results/, or a run's npz file.",
+            autocompletion=completion.results_folders,
+        ),
+    ],
     file_format: Annotated[
         ExportFormat,
         typer.Option("--format", help="csv and parquet have covariances; g2o the whole graph of the stream."),

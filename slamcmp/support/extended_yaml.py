@@ -1,9 +1,9 @@
 """``extends: other.yaml``: one file over another, each value with the place where it stands.
 
 Mappings are joined key by key, the file's own values over those of the one it extends; lists and single
-values are replaced whole, and so is a plug-in by one of another name. The experiment's own ``name`` is not taken
-over: two of one name would share a results folder. A relative path starts in the folder of the file that it
-stands in. Keys at the top that begin with ``x-`` are for anchors and mean nothing.
+values are replaced whole, and so is a plug-in by one of another name. The experiment's own ``name`` is not
+taken over: two of one name would share a results folder. A relative path starts in the folder of its file.
+Keys at the top that begin with ``x-`` are for anchors and mean nothing.
 """
 
 from __future__ import annotations
