@@ -47,14 +47,14 @@ def metrics(incomplete: str) -> list[str]:
 
 def kinds(incomplete: str) -> list[str]:
     """What ``slamcmp list`` lists."""
-    from slamcmp.cli.show import FILES, KINDS
+    from slamcmp.cli.kinds import FILES, KINDS
 
     return _beginning([*KINDS, *FILES], incomplete)
 
 
 def plugins(ctx: typer.Context, incomplete: str) -> list[str]:
     """Plug-ins of the kind that stands before."""
-    from slamcmp.cli.show import KINDS
+    from slamcmp.cli.kinds import KINDS
 
     kind = str(ctx.params.get("kind"))
     if kind == "experiments":

@@ -9,33 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slamcmp.cli import completion
+from slamcmp.cli.kinds import FILES, KINDS
 from slamcmp.cli.output import answer
 from slamcmp.errors import UsageError
-from slamcmp.registry import (
-    back_ends,
-    did_you_mean,
-    executors,
-    figures,
-    front_ends,
-    metrics,
-    sensors,
-    sources,
-)
+from slamcmp.registry import did_you_mean
 
 if TYPE_CHECKING:
     from slamcmp.registry import Plugin
-
-FILES = ("experiments", "assignments")
-"""What is shipped as files and not registered."""
-KINDS = {
-    "sources": sources,
-    "front-ends": front_ends,
-    "back-ends": back_ends,
-    "sensors": sensors,
-    "metrics": metrics,
-    "figures": figures,
-    "executors": executors,
-}
 
 
 def add_commands(app: typer.Typer) -> None:
