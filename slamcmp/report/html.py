@@ -19,6 +19,7 @@ from markupsafe import Markup
 from slamcmp.report.cautions import cautions
 from slamcmp.report.faults import fault_table
 from slamcmp.report.figures.draw import Drawn, each_figure, fault_text, figure_bytes
+from slamcmp.report.live import live_data, live_figures, packed, plotly_script
 from slamcmp.report.published import order_rows, value_rows
 from slamcmp.results.answer import answer
 from slamcmp.results.certainty import certainty_table
@@ -98,10 +99,12 @@ def report_html(results: Results) -> str:
     published = [] if verdict is None else [value_rows(verdict), order_rows(verdict)]
     names = manifest.get("config", {}).get("figures")
     shown = [_embed(drawn) for drawn in each_figure(results, names)]
-    script = _script()
+    alive = [name for name in live_figures(results) if names is None or name in names]
+    plotly = plotly_script() if alive else ""
+    script = _script(live_data(results, alive), plotly)
     return environment.get_template("report.html.j2").render(
         script=Markup(script),
-        script_sources=" ".join(map(_source_hash, (script,))),
+        script_sources=Markup(" ".join(map(_source_hash, filter(None, (script, plotly))))),
         name=manifest.get("name", results.folder.name),
         question=manifest.get("question") or "",
         description=manifest.get("description") or "",
@@ -130,6 +133,7 @@ def report_html(results: Results) -> str:
         paired_headers=[words.get(name, name) for name in paired.columns],
         paired_rows=_rows(paired, swept),
         figures=[figure for figure in shown if figure.sources],
+        alive=alive,
         skipped=[figure for figure in shown if not figure.sources],
         trial_headers=_trial_headers(results),
         trial_rows=_trial_rows(results),
@@ -139,8 +143,14 @@ def report_html(results: Results) -> str:
     )
 
 
-def _script() -> str:
-    return importlib.resources.files("slamcmp.report").joinpath("templates/page.js").read_text("utf-8")
+def _script(live: str, plotly: str) -> str:
+    """The page's own script with the data of its figures; plotly.js is in it, packed, where any needs it."""
+    folder = importlib.resources.files("slamcmp.report").joinpath("templates")
+    parts = [folder.joinpath("page.js").read_text("utf-8")]
+    if plotly:
+        data = f'const live = {live};\nconst packed = "{packed(plotly)}";\n'
+        parts += [data, folder.joinpath("live.js").read_text("utf-8")]
+    return "".join(parts)
 
 
 def _source_hash(script: str) -> str:

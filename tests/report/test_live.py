@@ -1,0 +1,176 @@
+"""The interactive figures: thinned without losing a peak, readable in both themes, alive in a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import shutil
+import subprocess
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from tornado.httpclient import AsyncHTTPClient
+from tornado.websocket import websocket_connect
+
+from slamcmp.report import write_report
+from slamcmp.report.html import report_html
+from slamcmp.report.live import DARK, LIGHT, kept_indices, live_data, live_figures, pareto_front
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+PAGE_LIMIT = 8_000_000
+
+
+@pytest.mark.parametrize("size", [10, 1200, 1201, 7000, 50_000])
+def test_thinning_keeps_every_peak_and_the_ends(size):
+    rng = np.random.default_rng(size)
+    values = rng.normal(size=size)
+    peak, dip = (size // 3, 2 * size // 3)
+    values[[peak, dip]] = 50.0, -50.0
+    kept = kept_indices(values)
+    assert {0, peak, dip, size - 1} <= set(kept)
+    assert len(kept) <= min(size, 1200)
+    assert (np.diff(kept) > 0).all()
+    # In each stretch of the series the drawn extremes are the series' own.
+    for stretch in np.array_split(np.arange(size), max(1, min(size, 1198) // 2)):
+        drawn = values[np.intersect1d(kept, stretch)]
+        assert (drawn.min(), drawn.max()) == (values[stretch].min(), values[stretch].max())
+
+
+def test_thinning_passes_over_what_is_no_number():
+    values = np.full(5000, np.nan)
+    values[1234] = 7.0
+    assert set(kept_indices(values)) == {0, 1234, 4999}
+
+
+def luminance(colour: str) -> float:
+    """Of sRGB, WCAG 2.2."""
+    parts = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+@pytest.mark.parametrize(("colours", "background"), [(LIGHT, "#ffffff"), (DARK, "#16181c")])
+def test_every_colour_has_a_contrast_of_three(colours, background, one_trial):
+    assert background in report_html(one_trial).replace("--back: #fff;", "--back: #ffffff;")
+    for colour in colours:
+        bright, dim = sorted((luminance(colour), luminance(background)), reverse=True)
+        assert (bright + 0.05) / (dim + 0.05) >= 3.0, colour
+
+
+def test_the_front_is_what_nobody_beats():
+    points = pd.DataFrame(
+        {"ms": [1.0, 2.0, 3.0, 4.0], "error_m": [0.5, 0.6, 0.2, 0.2]}, index=["a", "b", "c", "d"]
+    )
+    assert list(pareto_front(points).index) == ["a", "c"]
+
+
+def test_data_holds_the_tables_numbers(swept):
+    figures = live_figures(swept)
+    assert set(figures) == {"map", "errors", "consistency", "budget", "seeds"}
+    (online, final) = figures["seeds"]["panels"]
+    here = swept.trials[(swept.trials["source.range_sigma_m"] == 1.0) & (swept.trials["status"] == "ok")]
+    expected = here.pivot(index="trial", columns="label", values="online_ate")[online["labels"]]
+    assert np.array(online["rows"]) == pytest.approx(expected.to_numpy(), rel=1e-4)
+    assert final["labels"] == ["isam2", "batch"]
+
+
+def test_names_cannot_leave_the_script(one_trial):
+    hostile = "</script><img src=x>"
+    trials, frames = (
+        table.replace({"label": {"ekf": hostile}}) for table in (one_trial.trials, one_trial.frames)
+    )
+    results = type(one_trial)(one_trial.folder, one_trial.manifest, trials, frames, one_trial.landmarks)
+    text = live_data(results, ["map", "errors"])
+    assert "<" not in text
+    assert hostile in json.loads(text)["labels"]
+
+
+def test_the_page_carries_plotly_once_and_allows_no_other_script(swept):
+    text = report_html(swept)
+    assert text.count("data:application/gzip;base64,") == 1
+    assert len(text.encode()) < PAGE_LIMIT
+    (policy,) = re.findall(r'Content-Security-Policy" content="([^"]+)"', text)
+    assert policy.startswith("default-src 'none'")
+    assert len(re.findall(r"'sha256-[A-Za-z0-9+/=]{44}'", policy)) == 2
+    assert "unsafe" not in policy.split("script-src")[1]
+
+
+async def browse(page, folder, steps, width):
+    """Values of JavaScript expressions on the page, one after the other, and all that the console said."""
+    browser = subprocess.Popen(
+        [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
+         f"--user-data-dir={folder}", f"--window-size={width},1200", "about:blank"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        port_file, end = folder / "DevToolsActivePort", time.monotonic() + 60
+        while not port_file.exists() or not port_file.read_text():
+            assert time.monotonic() < end, "the browser did not start"
+            await asyncio.sleep(0.1)
+        port = port_file.read_text().splitlines()[0]
+        listing = await AsyncHTTPClient().fetch(f"http://127.0.0.1:{port}/json/list")
+        (target,) = [each for each in json.loads(listing.body) if each["type"] == "page"]
+        socket = await websocket_connect(target["webSocketDebuggerUrl"], max_message_size=2**26)
+        said, number = [], 0
+
+        async def ask(method, **parameters):
+            nonlocal number
+            number += 1
+            await socket.write_message(json.dumps({"id": number, "method": method, "params": parameters}))
+            while True:
+                answer = json.loads(await asyncio.wait_for(socket.read_message(), 60))
+                if answer.get("method") in (
+                    "Runtime.exceptionThrown", "Log.entryAdded", "Runtime.consoleAPICalled",
+                ):  # fmt: skip
+                    said.append(answer["params"])
+                if answer.get("id") == number:
+                    return answer["result"]
+
+        async def value(expression):
+            found = await ask(
+                "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
+            )
+            return found["result"].get("value")
+
+        await ask("Runtime.enable")
+        await ask("Log.enable")
+        await ask("Page.navigate", url=page.as_uri())
+        while await value("document.documentElement.dataset.live") != "ready":
+            assert time.monotonic() < end, f"the figures are not there: {said}"
+            await asyncio.sleep(0.1)
+        return [await value(step) for step in steps], said
+    finally:
+        browser.kill()
+        browser.wait()
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_in_a_browser_the_slider_moves_and_the_console_is_silent(swept, tmp_path):
+    page = write_report(swept, tmp_path / "report.html")
+    now = "document.querySelector('[data-figure=map]').data.filter(t => t.name === 'now')[0].x[0]"
+    slide = (
+        "(async () => {const s = document.querySelector('.player input'); s.value = 10; "
+        "s.dispatchEvent(new Event('input')); await new Promise(r => setTimeout(r, 300)); return s.value;})()"
+    )
+    steps = [
+        "document.querySelectorAll('.live .main-svg').length > 5",
+        now,
+        slide,
+        now,
+        "document.documentElement.scrollWidth <= innerWidth",
+        "getComputedStyle(document.querySelector('.alive .figure-box')).display",
+    ]
+    (drawn, last, moved, tenth, fits, twin), said = asyncio.run(
+        browse(page, tmp_path / "profile", steps, 390)
+    )
+    assert said == []
+    assert drawn
+    assert moved == "10"
+    frames = swept.frames[(swept.frames["label"] == "ekf")]
+    assert tenth != last
+    assert np.isclose(frames["online_x"], tenth, rtol=1e-4).any()
+    assert fits
+    assert twin == "none"
