@@ -285,6 +285,7 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
     from slamcmp.results.answer import answer
     from slamcmp.results.departures import departure_lines
+    from slamcmp.results.hindsight import filters_without_hindsight
     from slamcmp.results.partial import missing_runs
     from slamcmp.results.summary import priors_in_body_axes, warm_started
 
@@ -301,6 +302,12 @@ def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame
         print(f"warning: {text}", file=sys.stderr)
     for text in departure_lines(results):
         print(f"left what its covariance allows: {text}")
+    alone = filters_without_hindsight(results)
+    if alone:
+        print(
+            f"final columns are the smoothers' alone: {', '.join(alone)} have none; with "
+            "{name: ekf_world, smooth: true} a filter has its own hindsight (RTS)"
+        )
     borrowed = warm_started(results)
     if borrowed:
         print(f"online columns of {', '.join(borrowed)}: the warm start's (iSAM2's by default), not its own")
