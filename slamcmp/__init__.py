@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 from slamcmp.loaded_code import record_loads
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # First of all: what is imported from here on is known by its text. A grader's sandbox names no results, and a
 # module that is read as text is compiled anew.

@@ -44,6 +44,8 @@ def test_the_citation_is_of_this_version() -> None:
     } <= cited.keys()
     assert (cited["license"], cited["type"]) == (PROJECT["license"], "software")
     assert cited["version"] == slamcmp.__version__
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## {slamcmp.__version__} ({cited['date-released']})" in changelog
     assert cited["repository-code"] == PROJECT["urls"]["Homepage"]
 
 
