@@ -134,9 +134,11 @@ def reasons(found: Recommendation) -> str:
 def _undecided(found: Recommendation, kind: str) -> str:
     names = listed([the(label) for label in found.undecided])
     shown = [each for each in found.choices if each.label in found.undecided]
-    ratios = "; ".join(
-        f"{the(each.label)} has {ratio_text(each.nearest)} of the error of {the(each.against or '')}"
-        for each in shown
+    first = shown[0]
+    of_them = ", the cheapest of them," if len(shown) > 1 else ""
+    ratios = (
+        f"{the(first.label)}{of_them} has {ratio_text(first.nearest)} of the error of "
+        f"{the(first.against or '')}"
     )
     cheaper = ", which cost less, are" if len(shown) > 1 else ", which costs less, is"
     if found.label is None:

@@ -192,7 +192,7 @@ def by_innovations(results: Results, ok: pd.DataFrame) -> Consistency:
     if not found.runs:
         return Consistency("not known", "", "neither truth nor innovations to judge it by")
     bounds = "" if found.low != found.low else f", 95 % {number_text(found.low)} to {number_text(found.high)}"
-    text = f"squared innovations {number_text(found.estimate)} of what it expects ({of}{bounds})"
+    text = f"squared innovations are {number_text(found.estimate)} times what it expects ({of}{bounds})"
     if found.low > 1.0:
         return Consistency("overconfident", "innovations", text)
     return Consistency("not known", "innovations", text)

@@ -119,7 +119,7 @@ def test_without_truth_and_batch_there_is_nothing_to_hold_them_against():
     assert text.startswith(
         "There is no truth, and no batch solution in its place (batch timed out on the first"
     )
-    assert "The EKF's squared innovations 1.10 of what it expects" in text
+    assert "The EKF's squared innovations are 1.10 times what it expects" in text
     assert "errors against the truth" not in said(made, "limits")
 
 
