@@ -11,6 +11,7 @@ import base64
 import functools
 import gzip
 import importlib.resources
+import importlib.util
 import json
 from typing import Any
 
@@ -47,7 +48,9 @@ FIGURES = ("map", "errors", "consistency", "budget", "seeds")
 
 
 def live_figures(results: Results) -> dict[str, Any]:
-    """The data of each figure that these results can show, by name."""
+    """The data of each figure that these results can show, by name; none where plotly is not installed."""
+    if importlib.util.find_spec("plotly") is None:
+        return {}
     results = comparable(results)
     makers = {
         "map": _map,
