@@ -34,7 +34,11 @@ IMAGES = {
 }
 """File in docs/images: shipped experiment, figure."""
 
-STUDY: dict[str, tuple[str, str]] = {}
+STUDY = {
+    "answer_regimes.png": ("answer/relative_position", "regimes"),
+    "answer_gain.png": ("answer/relative_position", "gain"),
+    "answer_honesty.png": ("answer/relative_position", "honesty"),
+}
 """The same, of the study that takes hours (``make answer``): drawn where they are named."""
 
 MATCHES = {"rendered_room_matches.png": ("rendered_room", (20, 30))}
