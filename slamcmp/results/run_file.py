@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from slamcmp.support.atomic import write_atomically
-from slamcmp.types import BoolArray, GroundTruth, IntArray, Landmarks, Run, Trajectory
+from slamcmp.types import Association, BoolArray, GroundTruth, IntArray, Landmarks, Run, Trajectory
 
 RUN_FORMAT = "slamcmp-run-1"
 TRUTH_FORMAT = "slamcmp-truth-1"
@@ -65,6 +65,8 @@ class StoredTruth:
     """The recording's own names of the landmarks 0 … L - 1, where they have others."""
     inputs: Mapping[str, str] = field(default_factory=dict)
     """What was read beside what the key names, by path: digests."""
+    association: Association | None = None
+    """What a front end decided that was told no labels."""
 
 
 def save_run(stored: StoredRun, path: Path) -> None:
@@ -136,6 +138,8 @@ def save_truth(stored: StoredTruth, path: Path) -> None:
             arrays["P"] = truth.P
     if stored.own_ids is not None:
         arrays["own_ids"] = stored.own_ids
+    if stored.association is not None:
+        arrays |= _association_arrays(stored.association)
     _save(path, header, arrays)
 
 
@@ -189,7 +193,23 @@ def _rebuild_truth(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stor
         warnings,
         arrays.get("own_ids"),
         header.get("inputs", {}),
+        _association(arrays),
     )
+
+
+def _association_arrays(association: Association) -> dict[str, Any]:
+    sizes = np.array([ids.size for ids in association.ids], dtype=np.int64)
+    columns = {name: getattr(association, name) for name in ("ids", "labels", "points")}
+    joined = {f"association_{name}": np.concatenate(column) for name, column in columns.items()}
+    return {"association_sizes": sizes, **joined}
+
+
+def _association(arrays: Mapping[str, Any]) -> Association | None:
+    if "association_sizes" not in arrays:
+        return None
+    ends = np.cumsum(arrays["association_sizes"])[:-1]
+    columns = (arrays[f"association_{name}"] for name in ("ids", "labels", "points"))
+    return Association(*(tuple(np.split(column, ends)) for column in columns))
 
 
 def _trajectory(name: str, arrays: Mapping[str, Any]) -> Trajectory | None:

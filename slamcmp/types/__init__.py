@@ -9,6 +9,7 @@ covariance of a pose is in the body tangent, ``T = T_hat exp(xi)``, in the order
 from __future__ import annotations
 
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
+from slamcmp.types.association import Association
 from slamcmp.types.checks import TANGENT_DIM, frozen
 from slamcmp.types.log import CameraFrame, Detections, GroundTruth, Log, Problem, RelativePoses
 from slamcmp.types.results import Estimate, Landmarks, Run, Status, Trajectory
@@ -17,6 +18,7 @@ from slamcmp.types.stream import Frame, FrontEndReport, MeasurementStream
 
 __all__ = [
     "TANGENT_DIM",
+    "Association",
     "BoolArray",
     "CameraFrame",
     "Detections",

@@ -12,6 +12,7 @@ import numpy as np
 
 from slamcmp.errors import DataError
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
+from slamcmp.types.association import Association
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd
 from slamcmp.types.log import Detections, Problem, RelativePoses
 from slamcmp.types.sensor import SensorModel
@@ -86,6 +87,8 @@ class FrontEndReport:
     """What a user must know about the sensor's data, each with its likely cause."""
     judged: Mapping[str, int] = field(default_factory=dict)
     """Matches by the truth, under the four names above, where the images know it; not stored."""
+    association: Association | None = None
+    """What a front end decided that was told no labels; not stored with the stream."""
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ ROW = re.compile(r"^\| (`[^|]+) \| ([^|]+) \| ([^|]+) \|$", re.MULTILINE)
 SHORT = {
     "filter_vs_smoother": ({"steps": 12}, {}),
     "association": ({"steps": 12}, {}),
+    "unknown_association": ({"steps": 12}, {}),
     "observability": ({"steps": 12}, {}),
     "outliers": ({"steps": 12}, {}),
     "rendered_room": ({"steps": 3, "width_px": 320, "height_px": 240}, {"followed": 15}),

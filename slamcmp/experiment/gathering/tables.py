@@ -20,6 +20,7 @@ from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, 
 from slamcmp.experiment.planning.samples import Samples
 from slamcmp.experiment.planning.trials import RunJob, Trial
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
+from slamcmp.metrics.association import association_counts, association_scores
 from slamcmp.metrics.information import KL, last_kl, median_kl
 from slamcmp.results.of_runs import COST_COLUMNS, outcome
 from slamcmp.results.posteriors import kl_series, load_posteriors
@@ -226,11 +227,15 @@ class _Gathering:
         row = {
             **keys,
             **scores,
+            **({} if known.association is None else association_scores(known.association)),
             **outcome(run.run, run.completion, reference),
             **inspector.findings(run.run),
             **recorded,
         }
         of_frames = frame_table(run.run, truth, reference=borrowed, taken=keys)
+        if known.association is not None:
+            for name, series in association_counts(known.association).items():
+                of_frames[name] = series[: len(of_frames)]
         of_landmarks = landmark_table(run.run, truth, reference=borrowed)
         if known.own_ids is not None:
             of_landmarks["id"] = own_names(of_landmarks["id"].to_numpy(), known.own_ids)

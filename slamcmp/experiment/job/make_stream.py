@@ -15,6 +15,7 @@ from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.job.planned import held_to_plan, inputs, require_unchanged, unseen_readers
 from slamcmp.experiment.job.task import Task, stream_path
 from slamcmp.frontend.stream_file import save_stream
+from slamcmp.metrics.association import association_totals, in_own_names
 from slamcmp.registry import front_ends, sources
 from slamcmp.results.run_file import StoredTruth, save_truth
 from slamcmp.support.messages import describe, told
@@ -84,8 +85,12 @@ class _CountedWithTruth(_Counted):
 def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> GroundTruth | None:
     """A log's truth with its ``outliers`` over the stream's observations.
 
-    They are None where the front end does not say which detections it kept.
+    They are None where the front end does not say which detections it kept. Landmarks bear the names that a
+    front end without labels gave them.
     """
+    if truth is not None and stream.report is not None and stream.report.association is not None:
+        ids, positions = in_own_names(truth, stream.report.association)
+        truth = replace(truth, ids=ids, positions=positions)
     if truth is None or truth.outliers is None:
         return truth
     outliers = None
@@ -132,6 +137,9 @@ def _known_stream(
         )
         if closures:
             totals["loop closures"] = closures
+        association = None if stream.report is None else stream.report.association
+        if association is not None:
+            totals |= {name: int(n) for name, n in association_totals(association).items()}
         of_front_end = () if stream.report is None else stream.report.warnings
         return stream, StoredTruth(
             stream.digest,
@@ -139,7 +147,8 @@ def _known_stream(
             truth,
             totals,
             warnings=tuple(map(told, (*log.warnings, *of_front_end, *_gaps(log)))),
-            own_ids=log.own_ids,
+            own_ids=None if association is not None else log.own_ids,
+            association=association,
         )
     except KeyboardInterrupt:
         raise
