@@ -85,15 +85,15 @@ def capital(text: str, keep: Sequence[str] = ()) -> str:
 
 
 def _digits(middle: float, low: float, high: float) -> int:
-    """As few as keep the bounds apart from each other and from the zero that they leave out."""
+    """As few as keep the bounds apart from the zero that they leave out."""
     digits = 0
     while digits < 3:
         shown = [round(each, digits) for each in (low, high)]
         hidden = any(each == 0.0 for each in shown) and not low <= 0.0 <= high
-        if shown[0] != shown[1] and not hidden and (round(middle, digits) != 0.0 or low <= 0.0 <= high):
+        if not hidden and (round(middle, digits) != 0.0 or low <= 0.0 <= high):
             break
         digits += 1
-    return digits if high != low else (0 if round(middle) == middle else 1)
+    return digits
 
 
 def _signed(value: float, digits: int) -> str:

@@ -277,6 +277,9 @@ def test_two_parameters_of_one_name_say_their_section():
 def test_phrases():
     assert percent_text(Interval(0.98, 0.95, 1.01, 20)) == "2 % [−1, 5]"
     assert percent_text(Interval(1.0, 1.0, 1.0, 20)) == "0 % [0, 0]"
+    # Nobody wants 59.999 % [59.999, 60.000]; only the zero that is left out must not be rounded to.
+    assert percent_text(Interval(0.400004, 0.400002, 0.400006, 20)) == "60 % [60, 60]"
+    assert percent_text(Interval(0.98, 0.961, 0.9996, 20)) == "2.00 % [0.04, 3.90]"
     assert change_text(Interval(2.5, 2.4, 2.6, 20)) == "2.5 × worse"
     assert times_text(Interval(7.1, 6.9, 7.3, 20)) == "7 ×"
     assert times_text(Interval(7.1, 5.0, 9.9, 20)) == "7 × [5, 10]"
