@@ -20,7 +20,7 @@ from slamcmp.advice.ladder import LONG, ODOMETRY, Rung, ladder, rungs, window
 from slamcmp.advice.problem import load_problem
 from slamcmp.advice.sentences import write_sentences
 from slamcmp.advice.variations import Variation, variations
-from slamcmp.errors import UsageError
+from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.config.stop_rule import SEEDS_MAX
 from slamcmp.experiment.runner import available_cores, run_experiment
@@ -45,6 +45,12 @@ WINDOWS = (5, 10, 20)
 FILE = "advice.json"
 
 
+class Stopped(SlamcmpError):
+    """Ctrl-C between two of the experiments: what finished is kept."""
+
+    exit_code = 130
+
+
 @dataclass
 class _Clock:
     """What is left of the time for all."""
@@ -67,14 +73,19 @@ class _Running:
     command: str
 
     def run(self, experiment: Experiment, below: str = "") -> Results:
-        return run_experiment(
-            experiment,
-            folder=self.folder / below,
-            jobs=self.jobs,
-            executor=self.executor,
-            progress=self.progress,
-            command=self.command,
-        )
+        try:
+            return run_experiment(
+                experiment,
+                folder=self.folder / below,
+                jobs=self.jobs,
+                executor=self.executor,
+                progress=self.progress,
+                command=self.command,
+            )
+        except KeyboardInterrupt as error:
+            raise Stopped(
+                f"interrupted: what finished is in {self.folder}; the same command goes on from there"
+            ) from error
 
 
 def advise(

@@ -66,6 +66,10 @@ def advise(
 
     The results are an ordinary experiment's and are reused; after Ctrl-C the same command goes on from there.
     """
+    from slamcmp.experiment.executors.fork_server import warm_up
+
+    # It loads its modules while this process loads its own, and Ctrl-C leaves it alone.
+    warm_up()
     from slamcmp.advice.advise import advise as make_advice
 
     found = make_advice(

@@ -81,6 +81,17 @@ def test_who_does_not_finish_the_first_trial_is_named_and_left(ask):
     assert set(made.as_dict()["not_tried_further"]) == {"window of 10", "iterated EKF"}
 
 
+def test_a_stop_before_the_runner_takes_signals_is_one_line(ask):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    with pytest.raises(
+        advising.Stopped, match="interrupted: what finished is in .*the same command"
+    ) as found:
+        ask(stopped)
+    assert found.value.exit_code == 130
+
+
 def test_long_logs_have_isam2_look_for_variables_now_and_then():
     short, long = ({each.label: each for each in rungs(long=long)} for long in (False, True))
     assert short["iSAM2"].parameters["relinearize_skip"] == 1
