@@ -86,7 +86,7 @@ def test_a_stop_before_the_runner_takes_signals_is_one_line(ask):
         raise KeyboardInterrupt
 
     with pytest.raises(
-        advising.Stopped, match="interrupted: what finished is in .*the same command"
+        advising.Stopped, match=r"interrupted: what finished is in .*the same command"
     ) as found:
         ask(stopped)
     assert found.value.exit_code == 130
