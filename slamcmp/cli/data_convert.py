@@ -101,6 +101,18 @@ def _log(given: list[str], settings: list[str], trial: int) -> Log:
 
 
 def _of_source(name: str, parameters: dict[str, Any], settings: list[str]) -> Log:
+    from slamcmp.registry import sources
+
+    log: Log = sources.get(name).target(0, **checked_parameters(name, parameters, settings))
+    return log
+
+
+def checked_parameters(name: str, parameters: dict[str, Any], settings: list[str]) -> dict[str, Any]:
+    """A source's parameters with those that ``--set NAME=VALUE`` sets.
+
+    Raises:
+        UsageError: one that the source does not have, or a value that it does not take.
+    """
     from pydantic import ValidationError
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
@@ -118,10 +130,8 @@ def _of_source(name: str, parameters: dict[str, Any], settings: list[str]) -> Lo
         except YAMLError as error:
             raise UsageError(f"--set {text}: no value as YAML has them") from error
     try:
-        bound = bind_parameters(plugin, parameters)
+        return bind_parameters(plugin, parameters)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         raise UsageError(f"--set {place}: {first['msg']}") from error
-    log: Log = plugin.target(0, **bound)
-    return log

@@ -81,6 +81,7 @@ def mrclam(
     start: Literal["truth", "origin"] = "truth",
     prior_position_sigma_m: NotNegative = 1e-3,
     prior_heading_sigma_rad: NotNegative = 1e-3,
+    noise: str | None = None,
 ) -> Log:
     """One robot of UTIAS MRCLAM (Leung et al. 2011): barcodes seen by a camera, truth by Vicon.
 
@@ -91,7 +92,7 @@ def mrclam(
     given. ``along_…``, ``across_…`` and ``turn_sigma_…_sqrt_s`` are densities of the odometry's noise.
     ``odometry_offset_s`` is added to the odometry's stamps: commands lead the motion by about 0.2 s. Without
     a file of true poses (set 2 in some collections) the robot starts at the origin, and only the landmarks
-    are known.
+    are known. ``noise`` says where the sigmas come from, and then the results say it.
 
     Raises:
         MissingDataError: the folder or a file is not there.
@@ -103,7 +104,7 @@ def mrclam(
     subject_of = _subjects(files["barcodes"])
     motion = _motion(files["odometry"], odometry_offset_s)
     rows = number_table(files["measurement"], 4)
-    warnings: list[str] = []
+    warnings: list[str] = [] if noise is None else [f"noise: {noise}"]
     subjects = np.array([subject_of.get(code, 0) for code in rows[:, 1].astype(np.int64).tolist()])
     rows, subjects = _of_landmarks(rows, subjects, motion, max_range_m, warnings)
     t = np.union1d(rows[:, 0], motion.t if frames == "odometry" else [])

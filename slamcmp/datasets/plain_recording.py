@@ -60,6 +60,7 @@ def recording(
     start_pose: tuple[float, float, float] | None = None,
     prior_position_sigma_m: NotNegative = 1e-3,
     prior_heading_sigma_rad: NotNegative = 1e-3,
+    noise: str | None = None,
 ) -> Log:
     """A planar log of one's own in CSV or Parquet files, with units in their headers (docs/formats.md).
 
@@ -72,7 +73,7 @@ def recording(
     ``turn_sigma_…_sqrt_s`` are densities of the odometry's noise: variance grows with time. There is a frame
     for each instant of a detection, with ``frames: odometry`` for each row of the odometry too. ``start`` at
     the first true pose that is known at a frame, or at the origin; ``start_pose`` (x [m], y [m], theta [rad])
-    at a pose that is told.
+    at a pose that is told. ``noise`` says where the sigmas come from, and then the results say it.
 
     Raises:
         MissingDataError: a file is not there.
@@ -84,7 +85,7 @@ def recording(
         track_m=track_m,
         offset_s=odometry_offset_s,
     )
-    warnings: list[str] = []
+    warnings: list[str] = [] if noise is None else [f"noise: {noise}"]
     seen = None if detections is None else read_table(find_data_file(detections))
     if seen is None:
         t = motion.t

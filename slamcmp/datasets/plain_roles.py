@@ -12,7 +12,10 @@ from slamcmp.errors import UsageError
 
 Role = Literal["odometry", "detections", "truth", "landmarks"]
 
-_ODOMETRY, _TRUTH = ("odo", "wheel", "dead"), ("truth", "ground", "gt", "reference", "vicon", "mocap")
+ODOMETRY_NAMES, TRUTH_NAMES = (
+    ("odo", "wheel", "dead"),
+    ("truth", "ground", "gt", "reference", "vicon", "mocap"),
+)
 """Parts of names that tell whether poses drift or are true."""
 
 
@@ -23,7 +26,7 @@ def roles_of(tables: Sequence[Table], *, truth_is_known: bool = False) -> list[R
     (``truth_is_known``: in another kind of file) and no odometry.
     """
     roles: list[Role | None] = [_by_columns(table) for table in tables]
-    for which, parts in (("odometry", _ODOMETRY), ("truth", _TRUTH)):
+    for which, parts in (("odometry", ODOMETRY_NAMES), ("truth", TRUTH_NAMES)):
         for k, table in enumerate(tables):
             name = table.path.stem.lower()
             if roles[k] is None and any(part in name for part in parts):
