@@ -32,8 +32,10 @@ def ratio(found: Interval) -> str:
 
 
 @pytest.mark.parametrize("scale", [0.3, 1.0, 3.0, 10.0])
-def test_the_tables_are_those_of_the_runs(runs: pd.DataFrame, scale: float) -> None:
-    at = {ODOMETRY: scale}
+@pytest.mark.parametrize(("part", "seeds"), [("relative_position", 20), ("range_bearing", 10)])
+def test_the_tables_are_those_of_the_runs(part: str, seeds: int, scale: float) -> None:
+    runs, at = read(part), {ODOMETRY: scale}
+    assert runs["seed"].nunique() == seeds
     online = [ratio(pooled(runs, label, "EKF", at=at)) for label in ("iSAM2", *FAST[1:4])]
     assert f"| {scale:g} | {' | '.join(online)} |" in PAGE
     final = [
@@ -41,6 +43,22 @@ def test_the_tables_are_those_of_the_runs(runs: pd.DataFrame, scale: float) -> N
     ]
     final.append(ratio(pooled(runs, "EKF + RTS", "batch", "final_ate", at=at)))
     assert f"| {scale:g} | {' | '.join(final)} |" in PAGE
+
+
+def test_windows_stand_beside_isam2_on_the_same_runs(runs: pd.DataFrame) -> None:
+    windows = read("relative_position_windows")
+    assert sorted(windows["seed"].unique()) == list(range(5))
+    both = pd.concat([windows, runs[(runs["seed"] < 5) & (runs["label"] == "iSAM2")]])
+    at = {ODOMETRY: 10.0}
+    found = {
+        label: pooled(both, label, "iSAM2", at=at)
+        for label in ("fej 5", "fej 10", "fixed lag 10", "latest 5")
+    }
+    assert all(each.low <= 1.0 <= each.high for each in found.values())
+    said = {label: ratio(each) for label, each in found.items()}
+    assert f"first-estimate Jacobians have {said['fej 5']} times iSAM2's error" in TEXT
+    assert f"so do ten, {said['fej 10']}, and fixed lag of ten, {said['fixed lag 10']}." in TEXT
+    assert f"latest estimates have {said['latest 5']} times its error" in TEXT
 
 
 def test_what_the_page_says_of_no_difference_is_an_interval_that_holds_one(runs: pd.DataFrame) -> None:
@@ -64,6 +82,8 @@ def test_the_sentences_have_the_numbers_of_the_runs(runs: pd.DataFrame) -> None:
         return ratio(pooled(runs, "right-invariant EKF", "iSAM2", at={ODOMETRY: scale}))
 
     assert f"times {against_isam2(3.0)} at odometry 3, and times {against_isam2(10.0)} at 10" in TEXT
+    bearing = pooled(read("range_bearing"), "right-invariant EKF", "iSAM2", at={ODOMETRY: 10.0})
+    assert f"range and bearing times {ratio(bearing)} at 10" in TEXT
     of_laps = [
         ratio(pooled(runs, "iSAM2", "EKF", at={ODOMETRY: 10.0, LAP: turn})) for turn in (18.0, 9.0, 4.5)
     ]
@@ -87,8 +107,11 @@ def test_the_nees_and_the_failures_are_those_of_the_runs(runs: pd.DataFrame) -> 
     assert f"of the EKF is {ekf[0]} at odometry 0.3 and 1, {ekf[2]} at 3 and {ekf[3]} at 10" in TEXT
     assert f"right-invariant filter {', '.join(invariant[:3])} and {invariant[3]}" in TEXT
     assert f"of iSAM2 {', '.join(isam2[:3])} and {isam2[3]}" in TEXT
-    assert "No run failed." in TEXT
-    assert all(failed(runs, label) == (0, 720) for label in FAST)
+    assert "With relative positions no run failed; with range and bearing one of batch's 360 did" in TEXT
+    assert all(failed(runs, label) == (0, 720) for label in (*FAST, "batch", "EKF + RTS"))
+    other = read("range_bearing")
+    assert failed(other, "batch") == (1, 360)
+    assert all(failed(other, label) == (0, 360) for label in (*FAST, "EKF + RTS"))
 
 
 def test_three_sentences_by_hand(runs: pd.DataFrame) -> None:
