@@ -33,6 +33,11 @@ def advise(
     ``print(advice)`` shows the sentences, a notebook the table as well; ``advice.recommendation`` holds the
     evidence, ``advice.results`` the tables, ``advice.as_dict()`` what ``slamcmp advise --json`` prints.
 
+    >>> import slamcmp
+    >>> slamcmp.advise("quickstart", budget_ms=-1)
+    Traceback (most recent call last):
+    slamcmp.errors.UsageError: advise: budget_ms is a number above 0, not -1
+
     Args:
         problem: an experiment (file, shipped name, mapping, checked experiment), of which source, front end
             and the settings of back ends are used; or a recording's folder or odometry file.

@@ -31,7 +31,7 @@ def plot(
     <PageFigure size ...>
     >>> slamcmp.plot(runs[0], figure="dial")
     Traceback (most recent call last):
-    slamcmp.errors.UsageError: figure 'dial' cannot be drawn: no sliding_window was run with two windows
+    slamcmp.errors.UsageError: figure 'dial' cannot be drawn: no sliding_window was run with two windows, ...
 
     A notebook shows what the last line of a cell returns; ``savefig`` writes it to a file.
 

@@ -21,7 +21,7 @@ PACKAGE = Path(__file__).resolve().parent.parent
 LIBRARIES = ("numpy", "scipy", "gtsam", "opencv-python-headless")
 REQUIRED = frozenset(
     {"annotated_types", "cv2", "gtsam", "jinja2", "matplotlib", "numpy", "pandas", "pyarrow", "pydantic"}
-    | {"pooch", "requests", "rich", "ruamel", "scipy", "typer"}
+    | {"plotly", "pooch", "requests", "rich", "ruamel", "scipy", "typer"}
 )
 """Modules of what slamcmp always needs (pyproject.toml); those that compute are among LIBRARIES."""
 

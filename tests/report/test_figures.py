@@ -232,6 +232,7 @@ def test_figures_without_inputs_are_skipped_with_the_reason(nothing_known, tmp_p
         "attribution",
         "budget",
         "consistency",
+        "decisions",
         "dial",
         "errors",
         "frontier",
