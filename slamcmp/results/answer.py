@@ -16,15 +16,14 @@ from typing import Any
 
 import pandas as pd
 
-from slamcmp.metrics.statistics import Interval, median_interval, ratio_interval
+from slamcmp.metrics.statistics import median_interval, ratio_interval
+from slamcmp.results.against import SPELT, Against, comparisons, samples_text
 from slamcmp.results.grid import (
     at_point,
     grid_points,
     has_values,
     labels,
     milliseconds_per_frame,
-    own_columns,
-    own_points,
     swept_columns,
     value_text,
 )
@@ -42,16 +41,12 @@ from slamcmp.results.phrases import (
 )
 from slamcmp.results.store import Results
 from slamcmp.results.summary import ENOUGH_SEEDS, errors_by_trial, warm_started
-from slamcmp.results.words import parameters_in_words
+from slamcmp.results.sweep_answer import over_the_sweep, sweep_lines
 
 NEAR_HALF = (0.45, 0.55)
 """A ratio that halves an error …"""
 SURE_HALF = (0.4, 0.6)
 """… where its interval lies in here."""
-SPELT = 3
-"""Back ends that differ from the first one up to which each is named with its interval, on either side."""
-SPELT_POINTS = 6
-"""Swept values up to which each is named."""
 
 
 @dataclass(frozen=True)
@@ -70,25 +65,6 @@ class Answer:
 
     def __str__(self) -> str:
         return "\n".join([self.text, *self.lines])
-
-
-@dataclass(frozen=True)
-class Against:
-    """The error of a back end over that of another one, on their common streams at a grid point."""
-
-    label: str
-    other: str
-    point: Mapping[str, Any]
-    ratio: Interval
-
-    @property
-    def verdict(self) -> str:
-        """``better``, ``worse``, ``tie``, or ``too few`` runs."""
-        if self.ratio.runs < ENOUGH_SEEDS or not math.isfinite(self.ratio.half_width):
-            return "too few"
-        if not told_apart(self.ratio):
-            return "tie"
-        return "better" if self.ratio.estimate < 1.0 else "worse"
 
 
 def answer(results: Results) -> Answer:
@@ -116,35 +92,8 @@ def answer(results: Results) -> Answer:
     if most < ENOUGH_SEEDS:
         return Answer((_too_few(shown, ok, kinds, most), *more))
     if any(ok[path].map(value_text).nunique() > 1 for path in swept_columns(ok)):
-        return Answer((_over_the_sweep(shown, kinds), *more), tuple(_sweep_lines(shown, kinds)))
+        return Answer((over_the_sweep(shown, kinds), *more), tuple(sweep_lines(shown, kinds)))
     return Answer((_sentence(shown, kinds), *more))
-
-
-def comparisons(results: Results, which: str) -> list[Against]:
-    """Every back end with an ``online`` or ``final`` error against the first one that has it.
-
-    A pair is compared once for each combination of the swept values that one of the two has. Batch solvers
-    that solve once have no online error of their own.
-    """
-    table = results.trials
-    if which == "online":
-        table = table[~table["label"].isin(warm_started(results))]
-    column = f"{which}_ate"
-    known = [
-        label
-        for label in labels(results)
-        if not errors_by_trial(table[table["label"] == label], column).empty
-    ]
-    found = []
-    for label in known[1:]:
-        here = own_points(results.trials, known[0], label)
-        mine = own_columns(swept_columns(results.trials), known[0], label)
-        for index, point in enumerate(grid_points(results.trials)):
-            if index in here:
-                errors = errors_by_trial(at_point(table, point), column).reindex(columns=[known[0], label])
-                ratio = ratio_interval(errors[label], errors[known[0]])
-                found.append(Against(label, known[0], {path: point[path] for path in mine}, ratio))
-    return found
 
 
 def _own_streams(results: Results) -> Results:
@@ -157,21 +106,14 @@ def _own_streams(results: Results) -> Results:
     return replace(results, trials=results.trials[~results.trials["trial"].isin(mixed)])
 
 
-def _samples(results: Results, count: int) -> str:
-    """``20 seeds``, ``one seed``, ``5 recordings``."""
-    trials = results.trials
-    kind = "recording" if "recording" in trials or trials["seed"].isna().all() else "seed"
-    return f"one {kind}" if count == 1 else f"{count} {kind}s"
-
-
 def _too_few(results: Results, ok: pd.DataFrame, kinds: list[str], most: int) -> str:
     """``One seed: nothing can be said …``, and what these few runs gave."""
-    first = f"{capital(_samples(results, most))}: nothing can be said about which back end is better"
+    first = f"{capital(samples_text(results, most))}: nothing can be said about which back end is better"
     if len(labels(results)) == 1:
-        first = f"{capital(_samples(results, 1))}: nothing can be said about any other"
+        first = f"{capital(samples_text(results, 1))}: nothing can be said about any other"
     elif most > 1:
         first = (
-            f"{_samples(results, most)} are too few to tell back ends apart ({ENOUGH_SEEDS} are needed): "
+            f"{samples_text(results, most)} are too few to tell back ends apart ({ENOUGH_SEEDS} are needed): "
             "nothing can be said about which is better"
         )
     if len(grid_points(ok)) > 1:
@@ -198,7 +140,7 @@ def _alone(results: Results, ok: pd.DataFrame, which: str) -> str:
     where = " over all swept values" if len(grid_points(ok)) > 1 else ""
     return (
         f"{labels(results)[0]} ran alone, so nothing is compared: its median {which} ATE is "
-        f"{number_text(known.estimate)} m{bounds} at {_samples(results, known.runs)}{where}."
+        f"{number_text(known.estimate)} m{bounds} at {samples_text(results, known.runs)}{where}."
     )
 
 
@@ -230,12 +172,12 @@ def _versus(results: Results, found: list[Against], when: str) -> str:
             names = listed([each.label for each in found])
             return f"{when}, {names} finished no seed that {reference} finished: nothing can be said"
         return (
-            f"{when}, {_samples(results, most)} are too few to tell {listed([each.label for each in found])} "
-            f"from {reference} ({ENOUGH_SEEDS} pairs are needed)"
+            f"{when}, {samples_text(results, most)} are too few to tell "
+            f"{listed([each.label for each in found])} from {reference} ({ENOUGH_SEEDS} pairs are needed)"
         )
     if len(found) == 1:
         (only,) = found
-        samples = _samples(results, only.ratio.runs)
+        samples = samples_text(results, only.ratio.runs)
         end = f": {tie_text([only.ratio], samples)}" if only.verdict == "tie" else f" at {samples}"
         return f"{when}, {only.label} is {change_text(only.ratio)} than {reference}{end}"
     parts = []
@@ -251,7 +193,7 @@ def _versus(results: Results, found: list[Against], when: str) -> str:
         parts += named
     ties = [each for each in found if each.verdict == "tie"]
     if ties:
-        samples = _samples(results, min(each.ratio.runs for each in ties))
+        samples = samples_text(results, min(each.ratio.runs for each in ties))
         named = [f"{each.label} {percent_text(each.ratio)}" for each in ties[:SPELT]]
         more = [f"{len(ties) - SPELT} more"] if len(ties) > SPELT else []
         if len(ties) == 1:
@@ -279,7 +221,7 @@ def _hindsight(results: Results) -> str:
         return ""
     best = min(enough, key=lambda label: enough[label].estimate)
     both = online[[first]].rename(columns={first: "online"}).join(final[[best]]).dropna()
-    gain, samples = enough[best], _samples(results, len(both))
+    gain, samples = enough[best], samples_text(results, len(both))
     medians = " against ".join(number_text(float(both[name].median())) for name in (best, "online"))
     which = f"({medians} m, {best} final against {first} online)"
     if not told_apart(gain):
@@ -341,117 +283,6 @@ def _time_clause(results: Results, point: Mapping[str, Any]) -> str:
     shown = ordered if len(ordered) <= SPELT else [ordered[0], ordered[-1]]
     parts = [f"{times_text(ratio)} faster than {label}" for label, ratio in shown]
     return f"{fastest} is {listed(parts)}{rough}"
-
-
-def _over_the_sweep(results: Results, kinds: list[str]) -> str:
-    """How often each back end differs from the first one, over all that was swept."""
-    which = kinds[0]
-    found = comparisons(results, which)
-    if not found and len(kinds) == 2:
-        which, found = "final", comparisons(results, "final")
-    if not found:
-        return "No two back ends have errors that can be compared: nothing can be said about which is better."
-    when = "online" if which == "online" else "with hindsight"
-    parts = [_counted(own) for _, own in _by_label(found)]
-    text = f"{when}, over {_swept_text(results)}: {', '.join(parts)}"
-    return f"{capital(text, labels(results))}."
-
-
-def _counted(own: list[Against]) -> str:
-    """``iSAM2 is better than EKF at 2 of 5 values, no difference at 3``."""
-    label, other = own[0].label, own[0].other
-    counts = {verdict: sum(each.verdict == verdict for each in own) for verdict in ("better", "worse")}
-    ties = [each for each in own if each.verdict == "tie"]
-    few = [each for each in own if each.verdict == "too few"]
-    if len(few) == len(own):
-        return f"{label} and {other} have too few common runs to say"
-    parts = [
-        f"{verdict} than {other} at {count} of {len(own)} values"
-        for verdict, count in counts.items()
-        if count
-    ]
-    rest = []
-    if ties:
-        rest.append(f"no difference {f'from {other} ' if not parts else ''}told at {len(ties)}")
-    if few:
-        rest.append(f"too few runs at {len(few)}")
-    head = f"{label} is {listed(parts)}" if parts else label
-    if parts and rest:
-        return f"{head} ({'; '.join(rest)})"
-    return f"{head}: {'; '.join(rest)}" if rest else head
-
-
-def _sweep_lines(results: Results, kinds: list[str]) -> Iterator[str]:
-    """A line per back end over the swept values, with what differs only."""
-    tables = {which: dict(_by_label(comparisons(results, which))) for which in kinds}
-    for label in labels(results):
-        parts = []
-        for which, by_label in tables.items():
-            if label in by_label:
-                own = by_label[label]
-                parts.append(f"{which}, against {own[0].other}: {_over_values(results, own)}")
-        if parts:
-            yield f"{label}: {'; '.join(parts)}."
-
-
-def _over_values(results: Results, own: list[Against]) -> str:
-    alike = len({each.verdict for each in own}) == 1
-    if len(own) == 1 or (alike and own[0].verdict in ("tie", "too few")):
-        (verdict,) = {each.verdict for each in own}
-        if verdict == "too few":
-            return "too few common runs to say"
-        if verdict == "tie":
-            samples = _samples(results, min(each.ratio.runs for each in own))
-            end = f" at any of {len(own)} values" if len(own) > 1 else ""
-            return f"{tie_text([each.ratio for each in own], samples)}{end}"
-        return change_text(own[0].ratio)
-    apart = [each for each in own if each.verdict in ("better", "worse")]
-    if len(apart) > SPELT_POINTS:
-        strongest = sorted(apart, key=lambda each: -abs(math.log(each.ratio.estimate)))[:SPELT]
-        parts = [f"{sum(e.verdict == v for e in own)} {v}" for v in ("better", "worse")]
-        parts.append("most " + ", ".join(f"{change_text(each.ratio)} {_at(each)}" for each in strongest))
-    else:
-        parts = [f"{change_text(each.ratio)} {_at(each)}" for each in apart]
-    for verdict, text in (("tie", "no difference told"), ("too few", "too few runs")):
-        rest = [each for each in own if each.verdict == verdict]
-        if rest and len(rest) <= SPELT_POINTS:
-            parts.append(f"{text} {_at(*rest)}")
-        elif rest:
-            parts.append(f"{text} at {len(rest)} values")
-    return ", ".join(parts)
-
-
-def _at(*compared: Against) -> str:
-    """``at 0.5 and 2``; with the names where more than one parameter was swept."""
-    texts = []
-    for each in compared:
-        if len(each.point) == 1:
-            texts.append(value_text(*each.point.values()))
-        else:
-            words = parameters_in_words(each.point)
-            inner = ", ".join(f"{words[path]} = {value_text(value)}" for path, value in each.point.items())
-            texts.append(f"({inner})")
-    return f"at {listed(texts)}"
-
-
-def _swept_text(results: Results) -> str:
-    """``noise scale (0.5 to 4)``."""
-    swept = swept_columns(results.trials)
-    words = parameters_in_words(swept)
-    parts = []
-    for path in swept:
-        values = list(results.trials[path].drop_duplicates())
-        if len(values) < 2:
-            continue
-        shown = [value_text(value) for value in values]
-        text = f"{shown[0]} to {shown[-1]}" if len(shown) > 2 else listed(shown)
-        parts.append(f"{words[path]} ({text})")
-    return listed(parts)
-
-
-def _by_label(found: list[Against]) -> list[tuple[str, list[Against]]]:
-    names = list(dict.fromkeys(each.label for each in found))
-    return [(label, [each for each in found if each.label == label]) for label in names]
 
 
 def _not_counted(results: Results) -> Iterator[str]:

@@ -11,7 +11,8 @@ import pytest
 from scipy.stats import t as student
 
 from slamcmp.metrics.statistics import Interval
-from slamcmp.results.answer import answer, comparisons
+from slamcmp.results.against import comparisons
+from slamcmp.results.answer import answer
 from slamcmp.results.phrases import change_text, percent_text, share_text, tie_text, times_text
 from slamcmp.results.summary import in_words, summary_table
 from slamcmp.results.unfinished import unfinished_runs
