@@ -47,6 +47,8 @@ def test_what_a_plan_looks_at_does_not_grow_with_its_seeds(
 def test_a_trial_takes_little_memory(tmp_path: Path) -> None:
     """500 MB for 100 000 trials are 5 kB for each with all its jobs; these have six."""
     experiment = load_experiment(shipped_experiments()["anchors/p1"]).with_seeds(range(2000))
+    # What is known of the code's text is kept for the process, however many trials there are.
+    plan_experiment(experiment.with_seeds(range(2)), tmp_path)
     tracemalloc.start()
     plan = plan_experiment(experiment, tmp_path)
     held, _ = tracemalloc.get_traced_memory()
