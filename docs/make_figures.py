@@ -18,7 +18,7 @@ from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
 from slamcmp.report import draw_figures
-from slamcmp.report.figures.front_end import draw_front_end
+from slamcmp.report.figures.frontend.front_end import draw_front_end
 
 DOCS = Path(__file__).resolve().parent
 

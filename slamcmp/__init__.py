@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from slamcmp.experiment.config.experiment import Experiment, load_experiment
     from slamcmp.experiment.runner import Interrupted
     from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
-    from slamcmp.results.answer import answer
+    from slamcmp.results.answers.answer import answer
     from slamcmp.results.store import Results
     from slamcmp.types import (
         Detections,
@@ -61,7 +61,7 @@ _HOMES = {
     "slamcmp.experiment.config.experiment": ("Experiment", "load_experiment"),
     "slamcmp.experiment.runner": ("Interrupted",),
     "slamcmp.protocols": ("BackEnd", "Diagnosed", "JointEstimator", "Mapper", "Selective", "Smoother"),
-    "slamcmp.results.answer": ("answer",),
+    "slamcmp.results.answers.answer": ("answer",),
     "slamcmp.results.store": ("Results",),
     "slamcmp.types": (
         "Detections",

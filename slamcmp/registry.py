@@ -205,7 +205,14 @@ def _told(error: BaseException, path: Path) -> str:
     return text if isinstance(error, SyntaxError) or not lines else f"{text} ({path.name}, line {lines[-1]})"
 
 
-sources = Registry("source", "slamcmp.worlds", "slamcmp.datasets")
+sources = Registry(
+    "source",
+    "slamcmp.worlds",
+    "slamcmp.datasets",
+    "slamcmp.datasets.graphs",
+    "slamcmp.datasets.images",
+    "slamcmp.datasets.plain",
+)
 data_sets = Registry("data set", "slamcmp.datasets.catalogue")
 front_ends = Registry("front end", "slamcmp.frontend")
 back_ends = Registry(
@@ -218,5 +225,11 @@ back_ends = Registry(
 sensors = Registry("sensor", "slamcmp.models")
 metrics = Registry("metric", "slamcmp.metrics")
 executors = Registry("executor", "slamcmp.experiment.executors")
-figures = Registry("figure", "slamcmp.report.figures")
+figures = Registry(
+    "figure",
+    "slamcmp.report.figures",
+    "slamcmp.report.figures.frontend",
+    "slamcmp.report.figures.runs",
+    "slamcmp.report.figures.sweeps",
+)
 test_kinds = Registry("kind of test", "slamcmp.grading.kinds")

@@ -17,7 +17,7 @@ import pytest
 
 import slamcmp
 from slamcmp.cli.run import _blocks, print_table
-from slamcmp.datasets.graph_file import graph_file
+from slamcmp.datasets.graphs.graph_file import graph_file
 from slamcmp.frontend.labelled import labelled
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.results.store import load_results

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import slamcmp
-from slamcmp.datasets.graph_reader import read_graph
+from slamcmp.datasets.graphs.graph_reader import read_graph
 from slamcmp.datasets.trajectory_files import in_space, read_trajectory
+from slamcmp.results.runs.stored_runs import stored_run
 from slamcmp.results.store import load_results
-from slamcmp.results.stored_runs import stored_run
 from tests.command import Command
 
 EXPERIMENT = {

@@ -10,10 +10,10 @@ from typing import Any
 
 import pandas as pd
 
-from slamcmp.results.candidates import Candidate, Which
+from slamcmp.results.answers.candidates import Candidate, Which
+from slamcmp.results.answers.recommendation import Choice, Recommendation
 from slamcmp.results.grid import reference_name
 from slamcmp.results.numbers import interval_text, number_text
-from slamcmp.results.recommendation import Choice, Recommendation
 from slamcmp.results.store import Results
 from slamcmp.types.html import rows_html
 

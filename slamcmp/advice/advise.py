@@ -24,8 +24,8 @@ from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.config.stop_rule import SEEDS_MAX
 from slamcmp.experiment.runner import available_cores, run_experiment
-from slamcmp.results.candidates import FEWEST_RUNS
-from slamcmp.results.recommendation import Recommendation, recommend
+from slamcmp.results.answers.candidates import FEWEST_RUNS
+from slamcmp.results.answers.recommendation import Recommendation, recommend
 from slamcmp.results.store import Results, finite
 from slamcmp.support.atomic import write_atomically
 

@@ -18,10 +18,10 @@ from slamcmp.advice.evidence import (
 from slamcmp.advice.ladder import BATCH, EKF, INCREMENTAL, INVARIANT, ITERATED, ODOMETRY
 from slamcmp.advice.words import listed, more_or_less, percent, ratio_text, signed, the, time_words
 from slamcmp.metrics.statistics import Interval
-from slamcmp.results.candidates import FEWEST_RUNS, Candidate, by_innovations
+from slamcmp.results.answers.candidates import FEWEST_RUNS, Candidate, by_innovations
+from slamcmp.results.answers.recommendation import NOBODY, RECOMMENDED, Choice, Recommendation
 from slamcmp.results.grid import reference_name
 from slamcmp.results.numbers import number_text
-from slamcmp.results.recommendation import NOBODY, RECOMMENDED, Choice, Recommendation
 
 MOST_RUNS = 5000
 """More than so many nobody makes: it is then said that the two are too much alike."""

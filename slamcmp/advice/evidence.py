@@ -10,9 +10,9 @@ import pandas as pd
 from slamcmp.advice.advice import Advice
 from slamcmp.advice.ladder import BATCH, INCREMENTAL
 from slamcmp.metrics.statistics import Interval, ratio_interval, share_interval
-from slamcmp.results.candidates import Candidate
+from slamcmp.results.answers.candidates import Candidate
+from slamcmp.results.answers.recommendation import Choice, Recommendation
 from slamcmp.results.grid import reference_name
-from slamcmp.results.recommendation import Choice, Recommendation
 from slamcmp.results.store import Results
 
 

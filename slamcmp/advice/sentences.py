@@ -19,10 +19,10 @@ from slamcmp.advice.evidence import (
 )
 from slamcmp.advice.ladder import BATCH, EKF, ODOMETRY, SMOOTHED
 from slamcmp.advice.words import capital, listed, more_or_less, ratio_text, signed, the, time_words
-from slamcmp.results.candidates import FEWEST_RUNS
+from slamcmp.results.answers.candidates import FEWEST_RUNS
+from slamcmp.results.answers.recommendation import NOBODY, RECOMMENDED
 from slamcmp.results.grid import reference_name
 from slamcmp.results.numbers import number_text
-from slamcmp.results.recommendation import NOBODY, RECOMMENDED
 
 
 def write_sentences(advice: Advice) -> Iterator[Sentence]:

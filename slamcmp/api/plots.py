@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from slamcmp.api.streams import SourceStream
 from slamcmp.errors import UsageError
 from slamcmp.report.figures.draw import draw_figure
-from slamcmp.results.of_runs import results_of_runs
+from slamcmp.results.runs.of_runs import results_of_runs
 from slamcmp.results.store import Results
 from slamcmp.types import GroundTruth, Run
 

@@ -13,26 +13,12 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp.cli import (
-    advise,
-    assignment,
-    check,
-    compare,
-    data,
-    frontend,
-    grade,
-    grade_all,
-    noise,
-    papers,
-    regrade,
-    results,
-    run,
-    seeds,
-    show,
-    stream,
-    trajectories,
-)
+from slamcmp.cli import advise, check, frontend, run, seeds, show, stream
+from slamcmp.cli.data import commands as data
+from slamcmp.cli.data import noise
+from slamcmp.cli.grading import assignment, grade, grade_all, regrade
 from slamcmp.cli.output import equip, respect_no_color
+from slamcmp.cli.results import compare, papers, report, trajectories
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.support.messages import printable, told
 
@@ -50,7 +36,7 @@ for _commands in (
     advise,
     check,
     seeds,
-    results,
+    report,
     compare,
     papers,
     show,

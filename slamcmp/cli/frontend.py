@@ -43,7 +43,7 @@ def frontend(
     from slamcmp.frontend.vision.image_pair import match_features
     from slamcmp.frontend.vision.pyramid import extract_pyramid
     from slamcmp.image_files import SIDE_MIN_PX, image_problem, read_image
-    from slamcmp.report.figures.front_end import draw_front_end, front_end_tables
+    from slamcmp.report.figures.frontend.front_end import draw_front_end, front_end_tables
 
     pictures = [read_image(path) for path in images]
     for path, picture in zip(images, pictures, strict=True):

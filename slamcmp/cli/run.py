@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from slamcmp.experiment.planning.plan import Plan
+    from slamcmp.results.judgements.verdict import PublishedVerdict
     from slamcmp.results.store import Results
-    from slamcmp.results.verdict import PublishedVerdict
 
 UPRIGHT_ROWS = 6
 """A table with at most so many rows is printed with one line a column, unless told otherwise."""
@@ -113,10 +113,10 @@ def run(
         # The table now; figures and page take a while, and `slamcmp report` makes them when they are wanted.
         found, interruption, no_report = error.results, error, True
     from slamcmp.report import summary_table, write_report
-    from slamcmp.results.answer import answer
+    from slamcmp.results.answers.answer import answer
+    from slamcmp.results.judgements.summary import in_words, terminal_table, with_columns
+    from slamcmp.results.judgements.verdict import judge
     from slamcmp.results.partial import missing_runs
-    from slamcmp.results.summary import in_words, terminal_table, with_columns
-    from slamcmp.results.verdict import judge
 
     found = with_columns(found, chosen) if chosen else found
     summary = summary_table(found) if as_json else in_words(terminal_table(found))
@@ -177,14 +177,14 @@ def _checked_columns(text: str | None) -> list[str]:
     """
     if text is None:
         return []
-    from slamcmp.results.summary import checked_columns
+    from slamcmp.results.judgements.summary import checked_columns
 
     return checked_columns([name.strip() for name in text.split(",")], "--columns")
 
 
 def with_stable_keys(summary: pd.DataFrame, results: Results) -> pd.DataFrame:
     """The summary with columns called as in the trials table: headings are words, and words change."""
-    from slamcmp.results.summary import summary_columns
+    from slamcmp.results.judgements.summary import summary_columns
 
     known = {column.full_header: column.name for column in summary_columns(results)}
     return summary.rename(columns=lambda name: known.get(name, str(name).replace(" ", "_")))
@@ -283,11 +283,11 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
 
 
 def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame) -> None:
-    from slamcmp.results.answer import answer
-    from slamcmp.results.departures import departure_lines
-    from slamcmp.results.hindsight import filters_without_hindsight
+    from slamcmp.results.answers.answer import answer
+    from slamcmp.results.judgements.departures import departure_lines
+    from slamcmp.results.judgements.hindsight import filters_without_hindsight
+    from slamcmp.results.judgements.summary import priors_in_body_axes, warm_started
     from slamcmp.results.partial import missing_runs
-    from slamcmp.results.summary import priors_in_body_axes, warm_started
 
     missing = missing_runs(results)
     if not summary.empty:

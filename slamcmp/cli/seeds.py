@@ -13,7 +13,7 @@ import typer
 from slamcmp.cli import completion
 
 if TYPE_CHECKING:
-    from slamcmp.results.power import SeedPlan
+    from slamcmp.results.judgements.power import SeedPlan
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -54,7 +54,7 @@ def seeds(
     The paired number is for the test that the report shows: Student's t on the log of the ratio, seed by
     seed. Means are geometric.
     """
-    from slamcmp.results.power import plan_seeds
+    from slamcmp.results.judgements.power import plan_seeds
     from slamcmp.results.store import load_results
 
     found = load_results(_pilot(experiment))

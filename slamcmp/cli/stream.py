@@ -65,7 +65,7 @@ def export(
     trial: Annotated[int, typer.Option(min=0, help="Which trial's stream, of an experiment.")] = 0,
 ) -> None:
     """Write a stream as text that other programs read; the source graph_file reads it back."""
-    from slamcmp.datasets.g2o_writer import write_g2o
+    from slamcmp.datasets.graphs.g2o_writer import write_g2o
     from slamcmp.errors import StorageError
     from slamcmp.frontend.stream_file import load_stream
 

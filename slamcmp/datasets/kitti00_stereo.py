@@ -24,7 +24,7 @@ from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
 from slamcmp.datasets.folders import DATA_VARIABLE, find_data_file, number_table
-from slamcmp.datasets.recorded_odometry import OdometryNoise, make_odometry
+from slamcmp.datasets.images.recorded_odometry import OdometryNoise, make_odometry
 from slamcmp.datasets.trajectories import nearest_rotations, read_kitti_poses
 from slamcmp.datasets.wheel import wheel_file
 from slamcmp.errors import DataError, MissingDataError, UsageError

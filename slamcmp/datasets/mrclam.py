@@ -25,8 +25,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Interval
 
 from slamcmp.datasets.folders import find_folder, number_table, require_file
-from slamcmp.datasets.plain_motion import Motion
-from slamcmp.datasets.planar_log import PlanarStart, PlanarTruth, planar_log, planar_poses_at
+from slamcmp.datasets.plain.plain_motion import Motion
+from slamcmp.datasets.plain.planar_log import PlanarStart, PlanarTruth, planar_log, planar_poses_at
 from slamcmp.datasets.trajectories import MAX_GAP_S
 from slamcmp.errors import DataError
 from slamcmp.models.sensors import make_sensor

@@ -19,8 +19,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge
 
-from slamcmp.datasets.graph import graph_log
-from slamcmp.datasets.graph_reader import read_graph
+from slamcmp.datasets.graphs.graph import graph_log
+from slamcmp.datasets.graphs.graph_reader import read_graph
 from slamcmp.datasets.wheel import wheel_file
 from slamcmp.models.sensors import cartesian_to_polar, make_sensor
 from slamcmp.registry import sources

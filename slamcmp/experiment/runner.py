@@ -23,7 +23,7 @@ from slamcmp.experiment.planning.trials import Trial
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.registry import executors
-from slamcmp.results.run_file import load_truth
+from slamcmp.results.runs.run_file import load_truth
 from slamcmp.results.store import Results, save_results
 from slamcmp.support.atomic import remove_left_behind
 from slamcmp.support.interruption import interruptions

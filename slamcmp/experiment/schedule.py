@@ -22,7 +22,7 @@ from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.planning.plan import Plan
 from slamcmp.experiment.planning.samples import Samples
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial
-from slamcmp.results.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
+from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.atomic import storage_error
 from slamcmp.support.memory import machine_memory_mb
 from slamcmp.support.messages import LIMIT, describe, told

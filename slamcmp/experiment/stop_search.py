@@ -24,7 +24,7 @@ from slamcmp.experiment.job.task import run_path, truth_path
 from slamcmp.experiment.planning.trials import Trial
 from slamcmp.metrics import score_run
 from slamcmp.metrics.statistics import Interval, median_interval, median_rank, paired_interval
-from slamcmp.results.run_file import load_run, load_truth, relabelled
+from slamcmp.results.runs.run_file import load_run, load_truth, relabelled
 from slamcmp.types import FloatArray
 
 MOST_SIMULATED = 400

@@ -11,11 +11,11 @@ import pandas as pd
 from scipy.special import bdtrc, chdtrc
 
 from slamcmp.metrics.consistency import average_band
-from slamcmp.results.certainty import last_frame_nees, runs_by_point
 from slamcmp.results.grid import has_values, labels, point_name, pose_dimension, reference_name, swept_columns
+from slamcmp.results.judgements.certainty import last_frame_nees, runs_by_point
+from slamcmp.results.judgements.summary import ENOUGH_SEEDS, priors_in_body_axes, warm_started
 from slamcmp.results.partial import Missing, comparable, missing_runs
 from slamcmp.results.store import Results
-from slamcmp.results.summary import ENOUGH_SEEDS, priors_in_body_axes, warm_started
 
 HEALTHY_NIS = (0.8, 1.25)
 """NIS per degree of freedom that a reader would pass as healthy."""

@@ -10,8 +10,8 @@ import jinja2
 import pandas as pd
 
 from slamcmp.metrics.statistics import Interval
-from slamcmp.results.comparison import Comparison, Judgement
-from slamcmp.results.differences import Difference
+from slamcmp.results.compare.comparison import Comparison, Judgement
+from slamcmp.results.compare.differences import Difference
 from slamcmp.results.grid import value_text
 from slamcmp.results.numbers import interval_text, number_text
 

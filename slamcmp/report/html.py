@@ -21,14 +21,14 @@ from slamcmp.report.faults import fault_table
 from slamcmp.report.figures.draw import Drawn, each_figure, fault_text, figure_bytes
 from slamcmp.report.live import live_data, live_figures, packed, plotly_script
 from slamcmp.report.published import order_rows, value_rows
-from slamcmp.results.answer import answer
-from slamcmp.results.certainty import certainty_table
+from slamcmp.results.answers.answer import answer
 from slamcmp.results.grid import reference_name, swept_columns, value_text
+from slamcmp.results.judgements.certainty import certainty_table
+from slamcmp.results.judgements.summary import paired_table, summary_columns, summary_intervals, summary_table
+from slamcmp.results.judgements.unfinished import unfinished_runs
+from slamcmp.results.judgements.verdict import judge
 from slamcmp.results.numbers import interval_text, number_text
 from slamcmp.results.store import Results
-from slamcmp.results.summary import paired_table, summary_columns, summary_intervals, summary_table
-from slamcmp.results.unfinished import unfinished_runs
-from slamcmp.results.verdict import judge
 from slamcmp.results.words import parameters_in_words
 from slamcmp.support.atomic import write_atomically
 

@@ -20,10 +20,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from slamcmp.metrics.consistency import average_band
-from slamcmp.report.figures.budget import budget_points
-from slamcmp.report.figures.consistency import binned_nis
 from slamcmp.report.figures.drawable import NotDrawable, typical_trial
-from slamcmp.report.figures.errors import COMPONENTS
+from slamcmp.report.figures.runs.consistency import binned_nis
+from slamcmp.report.figures.runs.errors import COMPONENTS
+from slamcmp.report.figures.sweeps.budget import budget_points
 from slamcmp.results.grid import (
     at_point,
     has_values,

@@ -22,8 +22,8 @@ from slamcmp.errors import UsageError
 from slamcmp.metrics import MetricColumn, metric_columns
 from slamcmp.metrics.statistics import FEWEST_RATIOS, Interval, median_interval, ratio_interval
 from slamcmp.registry import did_you_mean
-from slamcmp.results.certainty import runs_by_point
 from slamcmp.results.grid import at_point, grid_points, pose_dimension, swept_columns, value_text
+from slamcmp.results.judgements.certainty import runs_by_point
 from slamcmp.results.numbers import number_text
 from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results

@@ -6,8 +6,8 @@ from typing import Any
 
 import pandas as pd
 
+from slamcmp.results.judgements.verdict import PublishedVerdict
 from slamcmp.results.numbers import interval_text, number_text
-from slamcmp.results.verdict import PublishedVerdict
 
 
 def value_rows(verdict: PublishedVerdict) -> pd.DataFrame:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pandas as pd
 
-from slamcmp.results.answer import answer
+from slamcmp.results.answers.answer import answer
 from slamcmp.results.grid import swept_columns, value_text
+from slamcmp.results.judgements.summary import summary_columns, summary_table
 from slamcmp.results.numbers import number_text
 from slamcmp.results.partial import missing_runs
 from slamcmp.results.store import Results
-from slamcmp.results.summary import summary_columns, summary_table
 from slamcmp.types.html import facts_html, rows_html
 
 KEY_FIGURES = (

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slamcmp.advice.advice import Advice, Asked, WhatIf
 from slamcmp.advice.sentences import write_sentences
-from slamcmp.results.recommendation import recommend
+from slamcmp.results.answers.recommendation import recommend
 from tests.results.hand_made import table
 
 BACK_ENDS = [{"name": "batch", "label": "batch"}]

@@ -16,8 +16,8 @@ import pandas as pd
 import pytest
 
 from slamcmp.results.grid import at_point, grid_points, has_values, swept_columns
+from slamcmp.results.judgements.verdict import judge
 from slamcmp.results.store import Results, load_results
-from slamcmp.results.verdict import judge
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "results" / "reference"

@@ -10,7 +10,7 @@ from typing import Any
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.results.verdict import PublishedVerdict, judge
+from slamcmp.results.judgements.verdict import PublishedVerdict, judge
 from tests.anchors.reference import assert_reproduces, read
 
 

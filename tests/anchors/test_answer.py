@@ -12,8 +12,8 @@ import slamcmp
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import shipped_experiments
 from slamcmp.metrics.statistics import Interval
+from slamcmp.results.answers.recommendation import recommend
 from slamcmp.results.numbers import interval_text, number_text
-from slamcmp.results.recommendation import recommend
 from tests.anchors.answer import PARTS, failed, pooled, read, write
 
 PAGE = (Path(__file__).parents[2] / "docs" / "filter-or-smooth.md").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.results.ensemble import ensemble_value
+from slamcmp.results.judgements.ensemble import ensemble_value
 from slamcmp.results.store import load_results
 from tests.anchors.shipped import measured, verdict_of
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import slamcmp
 from slamcmp.registry import figures
 from slamcmp.report.figures.draw import each_figure
-from slamcmp.results.of_runs import results_of_runs
+from slamcmp.results.runs.of_runs import results_of_runs
 
 CANNOT = {
     "association": "no back end gates for itself",

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamcmp.datasets.calibration_file import read_calibration
-from slamcmp.datasets.graph_file import graph_file
-from slamcmp.datasets.plain_recording import recording
+from slamcmp.datasets.graphs.graph_file import graph_file
+from slamcmp.datasets.images.calibration_file import read_calibration
+from slamcmp.datasets.plain.plain_recording import recording
 from slamcmp.datasets.trajectories import poses_from
 from slamcmp.errors import DataError, MissingDataError, SlamcmpError
 from slamcmp.experiment.config.experiment import load_experiment

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.datasets.calibration_file import Calibration, read_calibration
-from slamcmp.datasets.kitti_odometry import _camera
-from slamcmp.datasets.rectification import Lens, rectify, require_no_fold, undistort
+from slamcmp.datasets.images.calibration_file import Calibration, read_calibration
+from slamcmp.datasets.images.kitti_odometry import _camera
+from slamcmp.datasets.images.rectification import Lens, rectify, require_no_fold, undistort
 from slamcmp.errors import DataError
 from slamcmp.geometry import exp, inverse
 

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slamcmp import geometry as g
-from slamcmp.datasets.g2o_writer import write_g2o
-from slamcmp.datasets.graph import graph_log
-from slamcmp.datasets.graph_file import graph_file
-from slamcmp.datasets.graph_reader import read_graph
+from slamcmp.datasets.graphs.g2o_writer import write_g2o
+from slamcmp.datasets.graphs.graph import graph_log
+from slamcmp.datasets.graphs.graph_file import graph_file
+from slamcmp.datasets.graphs.graph_reader import read_graph
 from slamcmp.datasets.victoria_park import victoria_park
 from slamcmp.datasets.wheel import wheel_file
 from slamcmp.errors import DataError, MissingDataError

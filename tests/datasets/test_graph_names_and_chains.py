@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry as g
-from slamcmp.datasets.graph import graph_log
-from slamcmp.datasets.graph_file import graph_file
-from slamcmp.datasets.graph_reader import read_graph
-from slamcmp.datasets.graph_types import PoseEdge, name_of
-from slamcmp.datasets.odometry_chain import fused
+from slamcmp.datasets.graphs.graph import graph_log
+from slamcmp.datasets.graphs.graph_file import graph_file
+from slamcmp.datasets.graphs.graph_reader import read_graph
+from slamcmp.datasets.graphs.graph_types import PoseEdge, name_of
+from slamcmp.datasets.graphs.odometry_chain import fused
 from slamcmp.errors import DataError
 from slamcmp.types import Log
 

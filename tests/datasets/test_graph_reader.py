@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry as g
-from slamcmp.datasets.graph import graph_log
-from slamcmp.datasets.graph_reader import read_graph
-from slamcmp.datasets.odometry_chain import turned
+from slamcmp.datasets.graphs.graph import graph_log
+from slamcmp.datasets.graphs.graph_reader import read_graph
+from slamcmp.datasets.graphs.odometry_chain import turned
 from slamcmp.datasets.wheel import wheel_file
 from slamcmp.errors import DataError, MissingDataError
 

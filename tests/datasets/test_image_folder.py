@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from slamcmp.datasets.calibration_file import read_calibration
-from slamcmp.datasets.image_folder import image_folder
+from slamcmp.datasets.images.calibration_file import read_calibration
+from slamcmp.datasets.images.image_folder import image_folder
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.geometry import exp, inverse, quaternion

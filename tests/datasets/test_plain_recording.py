@@ -11,10 +11,10 @@ import pytest
 
 from slamcmp import geometry as g
 from slamcmp.cli import app
-from slamcmp.datasets.column_files import read_table
-from slamcmp.datasets.log_checks import check_files
-from slamcmp.datasets.plain_motion import Motion, read_motion
-from slamcmp.datasets.plain_recording import recording
+from slamcmp.datasets.plain.column_files import read_table
+from slamcmp.datasets.plain.log_checks import check_files
+from slamcmp.datasets.plain.plain_motion import Motion, read_motion
+from slamcmp.datasets.plain.plain_recording import recording
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.experiment.runner import run_experiment
 from tests.datasets.plain_drive import Drive

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.datasets.euroc import euroc
-from slamcmp.datasets.kitti_odometry import kitti_odometry
-from slamcmp.datasets.seven_scenes import seven_scenes
-from slamcmp.datasets.tum_rgbd import tum_rgbd
+from slamcmp.datasets.images.euroc import euroc
+from slamcmp.datasets.images.kitti_odometry import kitti_odometry
+from slamcmp.datasets.images.seven_scenes import seven_scenes
+from slamcmp.datasets.images.tum_rgbd import tum_rgbd
 from slamcmp.errors import DataError, MissingDataError, UsageError
 
 

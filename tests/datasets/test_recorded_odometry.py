@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from slamcmp.datasets.recorded_odometry import OdometryNoise, increments_between, make_odometry
+from slamcmp.datasets.images.recorded_odometry import OdometryNoise, increments_between, make_odometry
 from slamcmp.errors import UsageError
 from slamcmp.geometry import dead_reckoning, exp, local
 

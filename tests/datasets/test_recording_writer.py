@@ -10,10 +10,10 @@ import pytest
 
 from slamcmp import geometry as g
 from slamcmp.cli import app
-from slamcmp.datasets.graph_file import graph_file
-from slamcmp.datasets.plain_recording import recording
-from slamcmp.datasets.plain_roles import files_by_role
-from slamcmp.datasets.recording_writer import write_recording
+from slamcmp.datasets.graphs.graph_file import graph_file
+from slamcmp.datasets.plain.plain_recording import recording
+from slamcmp.datasets.plain.plain_roles import files_by_role
+from slamcmp.datasets.plain.recording_writer import write_recording
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.models.sensors import make_sensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.datasets.rectification import Lens, rectify, undistort
+from slamcmp.datasets.images.rectification import Lens, rectify, undistort
 from slamcmp.errors import DataError
 from slamcmp.geometry import exp, inverse, transform
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slamcmp.datasets.folders import number_table, text_rows
-from slamcmp.datasets.graph_reader import read_graph
+from slamcmp.datasets.graphs.graph_reader import read_graph
+from slamcmp.datasets.images.yaml_file import read_mapping
 from slamcmp.datasets.text import ends_in_a_line, fields_of, number, read_text, text_lines, whole
 from slamcmp.datasets.trajectories import read_kitti_poses, read_tum_trajectory
-from slamcmp.datasets.yaml_file import read_mapping
 from slamcmp.errors import DataError
 
 ENCODINGS = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry as g
-from slamcmp.datasets.graph_file import graph_file
+from slamcmp.datasets.graphs.graph_file import graph_file
 from slamcmp.datasets.time_stamps import in_seconds
 from slamcmp.datasets.trajectories import read_tum_trajectory
 from slamcmp.errors import DataError, MissingDataError

@@ -29,7 +29,7 @@ from slamcmp.frontend.labelled import labelled
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.metrics import metric_columns, score_run
 from slamcmp.registry import metrics
-from slamcmp.results.run_file import load_run, save_run
+from slamcmp.results.runs.run_file import load_run, save_run
 from slamcmp.types import Estimate, MeasurementStream, Problem, Run, Trajectory
 from tests import user_plugins
 from tests.user_plugins import DeadReckoning, Hindsight

@@ -17,7 +17,7 @@ from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.content_key import run_code, run_key, stream_code, stream_key
 from slamcmp.experiment.job.task import Task, stream_path, truth_path
 from slamcmp.experiment.job.worker import perform
-from slamcmp.results.run_file import load_run, load_truth
+from slamcmp.results.runs.run_file import load_run, load_truth
 from slamcmp.support import code_version
 from slamcmp.support.code_version import LIBRARIES, PACKAGE, import_closure, versions
 from tests.conftest import PLUGINS
@@ -149,8 +149,8 @@ def follows(key: Callable[[], str], module: str, monkeypatch: pytest.MonkeyPatch
         "models/camera.py",
         "models/sensors.py",
         "registry.py",
-        "results/posteriors.py",
-        "results/run_file.py",
+        "results/runs/posteriors.py",
+        "results/runs/run_file.py",
         "types/stream.py",
     ],
 )
@@ -167,7 +167,7 @@ def test_run_follows_each_module_that_computes_it(module: str, monkeypatch: pyte
         "models/camera.py",
         "models/motion.py",
         "randomness.py",
-        "results/run_file.py",
+        "results/runs/run_file.py",
         "types/stream.py",
         "worlds/planar.py",
         "worlds/simulate.py",

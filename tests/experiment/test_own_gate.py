@@ -11,7 +11,7 @@ import pytest
 from slamcmp.experiment.job.make_stream import make_stream, truth_of_stream
 from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.results.run_file import StoredRun, load_run, load_truth, save_run
+from slamcmp.results.runs.run_file import StoredRun, load_run, load_truth, save_run
 from slamcmp.types import MeasurementStream, Run, Trajectory
 
 SOURCE = {"name": "circle", "steps": 60, "landmarks": 20, "outlier_fraction": 0.15}

@@ -17,7 +17,7 @@ from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.report.cautions import cautions
-from slamcmp.results.posteriors import load_posteriors
+from slamcmp.results.runs.posteriors import load_posteriors
 from slamcmp.results.store import Results, load_results
 
 SHIPPED = Path(__file__).parents[2] / "experiments" / "observability.yaml"

@@ -139,7 +139,7 @@ def test_copies_of_one_recording_are_one_sample(three: Path) -> None:
 
 
 SOURCE = """
-from slamcmp.datasets.graph_file import graph_file
+from slamcmp.datasets.graphs.graph_file import graph_file
 
 
 def recorded(seed=0, *, steps: int = 20):

@@ -20,7 +20,7 @@ from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.registry import back_ends
 from slamcmp.report import html
-from slamcmp.results.run_file import load_run
+from slamcmp.results.runs.run_file import load_run
 from slamcmp.results.store import Results, load_results
 from slamcmp.support.messages import LIMIT, describe, told
 

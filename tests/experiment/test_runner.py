@@ -16,7 +16,7 @@ from slamcmp.experiment import runner
 from slamcmp.experiment.planning.plan import plan_experiment
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
-from slamcmp.results.run_file import load_truth, save_truth
+from slamcmp.results.runs.run_file import load_truth, save_truth
 from slamcmp.results.store import TABLES, Results, load_results
 from slamcmp.support.lock import locked
 from slamcmp.types import GroundTruth
@@ -260,7 +260,7 @@ def test_streams_that_differ_are_never_compared(write_experiment: Write, tmp_pat
 
 
 def test_truth_file_round_trip(tmp_path: Path) -> None:
-    from slamcmp.results.run_file import StoredTruth
+    from slamcmp.results.runs.run_file import StoredTruth
 
     masks = (np.array([True, False]), np.array([], dtype=bool), np.array([False]))
     truth = GroundTruth(np.arange(3.0), np.stack([np.eye(3)] * 3), np.array([4]), np.ones((1, 2)), masks)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.datasets.euroc import euroc
+from slamcmp.datasets.images.euroc import euroc
 from slamcmp.errors import DataError
 from slamcmp.frontend.tracked_features import tracked_features
 from slamcmp.geometry import so3_exp

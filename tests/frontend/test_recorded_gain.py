@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slamcmp.backends.filters.variants import RightInvariantEkf
-from slamcmp.datasets.kitti_odometry import kitti_odometry
-from slamcmp.datasets.seven_scenes import seven_scenes
+from slamcmp.datasets.images.kitti_odometry import kitti_odometry
+from slamcmp.datasets.images.seven_scenes import seven_scenes
 from slamcmp.errors import UsageError
 from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.frontend.tracked_features import tracked_features

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.datasets.kitti_odometry import kitti_odometry
+from slamcmp.datasets.images.kitti_odometry import kitti_odometry
 from slamcmp.frontend.vision.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.travel_check import TravelCheck

@@ -16,7 +16,7 @@ from slamcmp.metrics.information import (
     posterior_difference,
     posterior_kl,
 )
-from slamcmp.results.posteriors import Posterior, kl_series
+from slamcmp.results.runs.posteriors import Posterior, kl_series
 from slamcmp.types import Landmarks
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from slamcmp import geometry as g
 from slamcmp.cli import app
-from slamcmp.datasets.plain_recording import recording
+from slamcmp.datasets.plain.plain_recording import recording
 from slamcmp.errors import DataError, UsageError
 from slamcmp.frontend.labelled import labelled
 from slamcmp.metrics.noise_fit import fit_noise

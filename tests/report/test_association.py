@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from slamcmp.report.cautions import cautions
-from slamcmp.report.figures.association import gated_labels, plot_association, share_kept
 from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.report.figures.runs.association import gated_labels, plot_association, share_kept
 from slamcmp.report.html import report_html
-from slamcmp.results.summary import paired_table, summary_table
+from slamcmp.results.judgements.summary import paired_table, summary_table
 
 
 def test_share_kept_is_that_of_the_masks(gated: Any) -> None:

@@ -10,9 +10,9 @@ from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import shipped_experiments
 from slamcmp.frontend.vision.fundamental import SAMPLE
-from slamcmp.report.figures import course
-from slamcmp.report.figures.course import contaminated, exchanged
 from slamcmp.report.figures.draw import each_figure
+from slamcmp.report.figures.frontend import course
+from slamcmp.report.figures.frontend.course import contaminated, exchanged
 from slamcmp.results.store import Results
 from slamcmp.types import FloatArray
 

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.report.figures.decisions import LEFT_OUT, RIGHT, WRONG, plot_decisions
 from slamcmp.report.figures.drawable import NotDrawable
-from slamcmp.results.run_file import StoredTruth, load_truth, save_truth
+from slamcmp.report.figures.frontend.decisions import LEFT_OUT, RIGHT, WRONG, plot_decisions
+from slamcmp.results.runs.run_file import StoredTruth, load_truth, save_truth
 from slamcmp.results.store import Results
 from slamcmp.types import Association, GroundTruth
 

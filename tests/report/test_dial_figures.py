@@ -11,10 +11,15 @@ import pytest
 
 from slamcmp.metrics.consistency import average_band
 from slamcmp.report.figures import style
-from slamcmp.report.figures.attribution import attribution_table, find_stages, plot_attribution, stage_scores
-from slamcmp.report.figures.dial import arrangement, plot_dial, reach
 from slamcmp.report.figures.draw import each_figure
 from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.report.figures.runs.attribution import (
+    attribution_table,
+    find_stages,
+    plot_attribution,
+    stage_scores,
+)
+from slamcmp.report.figures.sweeps.dial import arrangement, plot_dial, reach
 from slamcmp.results.numbers import number_text
 from slamcmp.results.store import Results
 

@@ -16,14 +16,14 @@ from slamcmp.errors import UsageError
 from slamcmp.registry import Plugin, figures
 from slamcmp.report import draw_figures, summary_table
 from slamcmp.report.figures import style
-from slamcmp.report.figures.budget import budget_points, plot_budget
-from slamcmp.report.figures.consistency import binned_nis, plot_consistency
 from slamcmp.report.figures.draw import each_figure
 from slamcmp.report.figures.drawable import NotDrawable, typical_trial
-from slamcmp.report.figures.errors import plot_errors
-from slamcmp.report.figures.map import ellipse_95, plot_map
-from slamcmp.report.figures.sweep import plot_sweep
-from slamcmp.report.figures.time import binned_times, plot_time
+from slamcmp.report.figures.runs.consistency import binned_nis, plot_consistency
+from slamcmp.report.figures.runs.errors import plot_errors
+from slamcmp.report.figures.runs.map import ellipse_95, plot_map
+from slamcmp.report.figures.runs.time import binned_times, plot_time
+from slamcmp.report.figures.sweeps.budget import budget_points, plot_budget
+from slamcmp.report.figures.sweeps.sweep import plot_sweep
 from slamcmp.report.html import report_html
 from slamcmp.types import GroundTruth, Run, Trajectory
 

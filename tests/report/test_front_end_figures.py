@@ -15,7 +15,7 @@ from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.frontend.vision.degeneracy import Geometry
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
 from slamcmp.frontend.vision.pyramid import extract_pyramid
-from slamcmp.report.figures.front_end import SAYING, draw_front_end, front_end_tables
+from slamcmp.report.figures.frontend.front_end import SAYING, draw_front_end, front_end_tables
 from tests.frontend.photographs import FOLDER, photograph
 
 

@@ -17,8 +17,8 @@ from slamcmp.cli.run import _print_results
 from slamcmp.report import summary_table, write_report
 from slamcmp.report.cautions import cautions, distance_in_sigmas
 from slamcmp.report.html import _search_text, number_text, report_html
-from slamcmp.results.certainty import certainty_table, last_frame_nees, worst_run
-from slamcmp.results.summary import paired_table, terminal_table
+from slamcmp.results.judgements.certainty import certainty_table, last_frame_nees, worst_run
+from slamcmp.results.judgements.summary import paired_table, terminal_table
 
 
 class Page(HTMLParser):

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 import slamcmp
-from slamcmp.report.figures import images
+from slamcmp.report.figures.frontend import images
 from slamcmp.report.html import report_html
 from slamcmp.results.store import Results, load_results
 

@@ -11,8 +11,8 @@ import pytest
 
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
-from slamcmp.report.figures.kl import plot_kl_from_batch
-from slamcmp.report.figures.observability import median_series, observability_table, plot_observability
+from slamcmp.report.figures.runs.kl import plot_kl_from_batch
+from slamcmp.report.figures.runs.observability import median_series, observability_table, plot_observability
 from slamcmp.results.store import Results
 from tests.report.conftest import FRAMES, circle, make_run
 

@@ -17,10 +17,10 @@ from slamcmp.cli import app
 from slamcmp.report.cautions import cautions
 from slamcmp.report.figures.draw import each_figure
 from slamcmp.report.html import report_html
-from slamcmp.results.certainty import certainty_table
+from slamcmp.results.judgements.certainty import certainty_table
+from slamcmp.results.judgements.summary import paired_table, summary_table, terminal_table
 from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results, load_results, save_results
-from slamcmp.results.summary import paired_table, summary_table, terminal_table
 
 NOISES = (0.5, 1.0, 2.0)
 LABELS = ("ekf", "isam2", "batch")

@@ -10,12 +10,12 @@ import pytest
 from matplotlib.figure import Figure
 
 import slamcmp
-from slamcmp.report.figures.cells import cells
 from slamcmp.report.figures.draw import each_figure
 from slamcmp.report.figures.drawable import NotDrawable
-from slamcmp.report.figures.gain import frontier_table, measured_by, plot_frontier, plot_gain, unbeaten
-from slamcmp.report.figures.regimes import honesty_table, plot_honesty, plot_regimes, regime_table
-from slamcmp.results.recommendation import recommend
+from slamcmp.report.figures.sweeps.cells import cells
+from slamcmp.report.figures.sweeps.gain import frontier_table, measured_by, plot_frontier, plot_gain, unbeaten
+from slamcmp.report.figures.sweeps.regimes import honesty_table, plot_honesty, plot_regimes, regime_table
+from slamcmp.results.answers.recommendation import recommend
 from slamcmp.results.store import Results
 
 LABELS = ["odometry", "EKF", "EKF + RTS"]

@@ -11,11 +11,11 @@ import pytest
 from scipy.stats import t as student
 
 from slamcmp.metrics.statistics import Interval
-from slamcmp.results.against import comparisons
-from slamcmp.results.answer import answer
-from slamcmp.results.phrases import change_text, percent_text, share_text, tie_text, times_text
-from slamcmp.results.summary import in_words, summary_table
-from slamcmp.results.unfinished import unfinished_runs
+from slamcmp.results.answers.against import comparisons
+from slamcmp.results.answers.answer import answer
+from slamcmp.results.answers.phrases import change_text, percent_text, share_text, tie_text, times_text
+from slamcmp.results.judgements.summary import in_words, summary_table
+from slamcmp.results.judgements.unfinished import unfinished_runs
 from slamcmp.results.words import parameter_words, parameters_in_words
 from tests.results.hand_made import results_of, runs
 

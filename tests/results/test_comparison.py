@@ -14,10 +14,10 @@ from scipy import stats
 from slamcmp.errors import UsageError
 from slamcmp.metrics import metric_columns
 from slamcmp.report.comparison import comparison_html, comparison_markdown
-from slamcmp.results.comparison import Comparison, compare_results, judge_condition
-from slamcmp.results.conditions import parse_condition
-from slamcmp.results.differences import differences
-from slamcmp.results.paired_runs import seeds_text
+from slamcmp.results.compare.comparison import Comparison, compare_results, judge_condition
+from slamcmp.results.compare.conditions import parse_condition
+from slamcmp.results.compare.differences import differences
+from slamcmp.results.compare.paired_runs import seeds_text
 from slamcmp.results.store import Results
 from tests.results.hand_made import results_of, runs
 

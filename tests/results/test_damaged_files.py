@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.results.run_file import load_run, load_truth
+from slamcmp.results.runs.run_file import load_run, load_truth
 
 Write = Callable[..., Path]
 

@@ -10,8 +10,8 @@ import pytest
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.results.departures import departure_lines
-from slamcmp.results.hindsight import filters_without_hindsight
+from slamcmp.results.judgements.departures import departure_lines
+from slamcmp.results.judgements.hindsight import filters_without_hindsight
 
 
 def results(tmp_path: Path, back_ends: str) -> Any:

@@ -11,12 +11,12 @@ import pytest
 from slamcmp.datasets.trajectory_files import write_trajectory
 from slamcmp.errors import DataError, UsageError
 from slamcmp.geometry import exp, local, se2
-from slamcmp.report.figures.dial import arrangement
-from slamcmp.results.comparison import compare_results
-from slamcmp.results.imported import Import, import_runs
+from slamcmp.report.figures.sweeps.dial import arrangement
+from slamcmp.results.compare.comparison import compare_results
+from slamcmp.results.judgements.summary import paired_table, summary_table
+from slamcmp.results.runs.imported import Import, import_runs
+from slamcmp.results.runs.stored_runs import stored_run
 from slamcmp.results.store import Results, load_results
-from slamcmp.results.stored_runs import stored_run
-from slamcmp.results.summary import paired_table, summary_table
 from slamcmp.types import Trajectory
 from tests.recorded_data import recorded
 

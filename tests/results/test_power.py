@@ -16,15 +16,15 @@ from scipy import stats
 
 from slamcmp.errors import DataError, UsageError
 from slamcmp.metrics.statistics import ratio_test
-from slamcmp.results.power import (
+from slamcmp.results.judgements.power import (
     paired_seeds,
     plan_seeds,
     simulated_paired_seeds,
     simulated_unpaired_seeds,
     unpaired_seeds,
 )
+from slamcmp.results.judgements.summary import paired_table
 from slamcmp.results.store import Results, save_results
-from slamcmp.results.summary import paired_table
 
 
 def pilot(

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from slamcmp.cli import app
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.schema import experiment_schema
-from slamcmp.results.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
-from slamcmp.results.published import Published
+from slamcmp.results.judgements.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
+from slamcmp.results.judgements.published import Published
+from slamcmp.results.judgements.verdict import judge_published
 from slamcmp.results.store import load_results
-from slamcmp.results.verdict import judge_published
 from slamcmp.support.config_errors import ConfigError
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slamcmp.results.candidates import consistency_of, find_candidates, student_interval
-from slamcmp.results.recommendation import recommend
+from slamcmp.results.answers.candidates import consistency_of, find_candidates, student_interval
+from slamcmp.results.answers.recommendation import recommend
 from tests.results.hand_made import SEEDS, back_end, results_of, table
 
 

@@ -11,9 +11,9 @@ import pytest
 from scipy import stats
 
 from slamcmp.cli.run import _print_results
-from slamcmp.results.certainty import certainty_table, failure_rate, last_frame_nees
+from slamcmp.results.judgements.certainty import certainty_table, failure_rate, last_frame_nees
+from slamcmp.results.judgements.summary import paired_table, summary_intervals, summary_table, terminal_table
 from slamcmp.results.numbers import interval_text, number_text
-from slamcmp.results.summary import paired_table, summary_intervals, summary_table, terminal_table
 from tests.results.hand_made import results_of, runs
 
 ERRORS = [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0]

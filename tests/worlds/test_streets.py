@@ -7,7 +7,7 @@ import pytest
 from scipy.special import chdtri
 
 from slamcmp import geometry as g
-from slamcmp.datasets.graph_reader import read_graph
+from slamcmp.datasets.graphs.graph_reader import read_graph
 from slamcmp.datasets.wheel import wheel_file
 from slamcmp.errors import UsageError
 from slamcmp.types import Log

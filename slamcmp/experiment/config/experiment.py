@@ -17,7 +17,7 @@ from slamcmp.experiment.config.component import OWN_GATE, Component
 from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import SEEDS_MAX, StopRule
 from slamcmp.registry import did_you_mean
-from slamcmp.results.published import Published, check_published, published_keys
+from slamcmp.results.judgements.published import Published, check_published, published_keys
 from slamcmp.support.bounds import INTEGER_MAX, unusable_values
 from slamcmp.support.config_errors import ConfigErrors, ConfigSource
 from slamcmp.support.extended_yaml import load_extended

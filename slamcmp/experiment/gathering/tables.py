@@ -22,9 +22,9 @@ from slamcmp.experiment.planning.trials import RunJob, Trial
 from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
 from slamcmp.metrics.association import association_counts, association_scores
 from slamcmp.metrics.information import KL, last_kl, median_kl
-from slamcmp.results.of_runs import COST_COLUMNS, outcome
-from slamcmp.results.posteriors import kl_series, load_posteriors
-from slamcmp.results.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
+from slamcmp.results.runs.of_runs import COST_COLUMNS, outcome
+from slamcmp.results.runs.posteriors import kl_series, load_posteriors
+from slamcmp.results.runs.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.support.messages import describe, told
 from slamcmp.support.opened_files import UNKNOWN, changed
 from slamcmp.types import GroundTruth

@@ -17,7 +17,7 @@ from slamcmp.experiment.job.task import Task, stream_path
 from slamcmp.frontend.stream_file import save_stream
 from slamcmp.metrics.association import association_totals, in_own_names
 from slamcmp.registry import front_ends, sources
-from slamcmp.results.run_file import StoredTruth, save_truth
+from slamcmp.results.runs.run_file import StoredTruth, save_truth
 from slamcmp.support.messages import describe, told
 from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.types import CameraFrame, FloatArray, GroundTruth, Log, MeasurementStream

@@ -18,7 +18,7 @@ from slamcmp.experiment.config.record import Record
 from slamcmp.metrics.information import landmark_drift, pose_drift
 from slamcmp.metrics.observability import DRIFTS, NULLITY, SHIFT, TURN, nullity, unanchored_information
 from slamcmp.protocols import BackEnd, JointEstimator
-from slamcmp.results.posteriors import Posterior
+from slamcmp.results.runs.posteriors import Posterior
 from slamcmp.types import Estimate, FloatArray
 
 JOINT_DIM_MAX = 1500

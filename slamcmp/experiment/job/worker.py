@@ -21,8 +21,8 @@ from slamcmp.frontend.stream_file import load_stream
 from slamcmp.metrics import score_run
 from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends
-from slamcmp.results.posteriors import save_posteriors
-from slamcmp.results.run_file import StoredRun, load_truth, save_run, truth_digest
+from slamcmp.results.runs.posteriors import save_posteriors
+from slamcmp.results.runs.run_file import StoredRun, load_truth, save_run, truth_digest
 from slamcmp.support.messages import describe, told
 from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.support.shared_arrays import SharedArrays

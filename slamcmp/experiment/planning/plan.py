@@ -11,7 +11,7 @@ from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.job.fault import OUTSIDE
 from slamcmp.experiment.job.task import run_path, stream_path, truth_path
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial, make_trials
-from slamcmp.results.run_file import load_run, load_truth
+from slamcmp.results.runs.run_file import load_run, load_truth
 from slamcmp.support.opened_files import unchanged
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slamcmp.datasets.log_checks import GAP, LARGE_OFFSET_S, OUTLIER_SIGMAS, ComponentErrors, Report
+from slamcmp.datasets.plain.log_checks import GAP, LARGE_OFFSET_S, OUTLIER_SIGMAS, ComponentErrors, Report
 from slamcmp.report.figures.style import BAND, MARKERS, PALETTE, RC, TRUTH, new_figure
 from slamcmp.support.atomic import write_atomically
 from slamcmp.types import FloatArray

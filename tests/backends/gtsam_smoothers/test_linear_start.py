@@ -11,7 +11,7 @@ from slamcmp import geometry as g
 from slamcmp.backends.gtsam_smoothers.batch import Batch
 from slamcmp.backends.gtsam_smoothers.graph import poses_in
 from slamcmp.backends.gtsam_smoothers.linear_start import Edges
-from slamcmp.datasets.graph_file import graph_file
+from slamcmp.datasets.graphs.graph_file import graph_file
 from slamcmp.frontend.labelled import labelled
 from slamcmp.models.sensors import RelativePosition
 from slamcmp.types import TANGENT_DIM, Frame, MeasurementStream, Problem, RelativePoses

@@ -13,8 +13,8 @@ from slamcmp import geometry as g
 from slamcmp.backends.gtsam_smoothers.batch import Batch
 from slamcmp.backends.gtsam_smoothers.fixed_lag import FixedLag
 from slamcmp.backends.gtsam_smoothers.isam2 import Isam2
-from slamcmp.datasets.g2o_writer import write_g2o
-from slamcmp.datasets.graph_file import graph_file
+from slamcmp.datasets.graphs.g2o_writer import write_g2o
+from slamcmp.datasets.graphs.graph_file import graph_file
 from slamcmp.datasets.wheel import wheel_file
 from slamcmp.errors import DataError, UsageError
 from slamcmp.experiment.runner import run_experiment

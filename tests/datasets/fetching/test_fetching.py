@@ -416,7 +416,7 @@ def test_the_sources_that_entries_name_take_what_they_say():
 
 
 def test_names_are_completed():
-    from slamcmp.cli.data_sets import _names
+    from slamcmp.cli.data.data_sets import _names
 
     assert _names("plaza") == ["plaza1", "plaza2"]
     with contextlib.suppress(SystemExit):

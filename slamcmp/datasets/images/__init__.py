@@ -1,0 +1,1 @@
+"""Recordings of cameras, and their calibrations."""

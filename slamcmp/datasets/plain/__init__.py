@@ -1,0 +1,1 @@
+"""One's own log in plain files."""

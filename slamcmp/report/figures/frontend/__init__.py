@@ -1,0 +1,1 @@
+"""Figures of what a front end did."""

@@ -1,0 +1,1 @@
+"""Figures of runs: over time, over the map, over the frames."""

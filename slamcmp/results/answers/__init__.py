@@ -1,0 +1,1 @@
+"""What an experiment answers: in sentences, and which back end to take."""
