@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PYTEST_ARGS ?=
 
-.PHONY: demo test check install install-test bench bench-check slow docs-figures answer clean
+.PHONY: demo test check install install-docs install-test bench bench-check slow docs docs-figures answer clean
 
 demo: install
 	$(BIN)/slamcmp run experiments/victoria_park.yaml
@@ -30,6 +30,11 @@ bench: install-test
 bench-check: install-test
 	$(BIN)/python benchmarks/all.py --check
 
+# The site, into build/docs; a warning is an error, and nothing is fetched but the packages.
+docs: install-docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
+	@echo "build/docs/index.html"
+
 docs-figures: install
 	$(BIN)/python docs/make_figures.py
 
@@ -41,6 +46,7 @@ answer: install-test
 	$(BIN)/python docs/make_figures.py $(patsubst docs/images/%,%,$(wildcard docs/images/answer_*.png))
 
 install: $(VENV)/.installed
+install-docs: $(VENV)/.installed-docs
 install-test: $(VENV)/.installed-test
 
 $(VENV)/.installed: pyproject.toml constraints.txt
@@ -50,7 +56,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.installed-test: $(VENV)/.installed
-	$(INSTALL) --editable '.[test,types]'
+	$(INSTALL) --editable '.[test,types,docs]'
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(INSTALL) --editable '.[docs]'
 	@touch $@
 
 clean:

@@ -5,6 +5,8 @@ environment, ``--user``, ``--target``). Of an assignment a wheel holds what stud
 staff's: no hidden test, solution or known mistake. All else is in pyproject.toml.
 """
 
+import re
+import tomllib
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -38,8 +40,19 @@ class BuildForStudents(build_py):
         return [each for each in found if not staffs or Path(each[2]).name in FOR_STUDENTS]
 
 
+def long_description() -> str:
+    """README.md with absolute links: on an index's page the repository's files are not beside it."""
+    project = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = Path("README.md").read_text(encoding="utf-8")
+    home = project["urls"]["Homepage"]
+    text = re.sub(r"(!\[[^\]]*\]\()(?![a-z]+:|#)", rf"\1{home}/raw/main/", text)
+    return re.sub(r"((?<!!)\[[^\]]*\]\()(?![a-z]+:|#)", rf"\1{home}/blob/main/", text)
+
+
 shipped = shipped_packages()
 setup(
+    long_description=long_description(),
+    long_description_content_type="text/markdown",
     packages=[*find_packages(include=["slamcmp*"]), *shipped],
     package_dir={"slamcmp": "slamcmp", **shipped},
     package_data={

@@ -13,6 +13,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from PIL import Image
+from run_page import run_page
+
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.experiment.runner import run_experiment
@@ -31,6 +34,12 @@ IMAGES = {
     "association.png": ("association", "association"),
     "victoria_park_map.png": ("victoria_park", "map"),
     "rendered_room_map.png": ("rendered_room", "map"),
+    "quickstart_errors.png": ("quickstart", "errors"),
+    "unknown_association.png": ("unknown_association", "sweep"),
+    "lecture_harris_corners.png": ("lecture/figure_1_harris_corners", "harris_corners"),
+    "lecture_after_suppression.png": ("lecture/figure_2_suppression", "after_suppression"),
+    "lecture_matches.png": ("lecture/figure_3_matches", "matches"),
+    "lecture_ransac.png": ("lecture/problem_1_ransac", "ransac"),
 }
 """File in docs/images: shipped experiment, figure."""
 
@@ -43,6 +52,19 @@ STUDY = {
 
 MATCHES = {"rendered_room_matches.png": ("rendered_room", (20, 30))}
 """File in docs/images: shipped experiment with a camera, two of its first trial's images."""
+
+PAGES = {
+    "lecture_problem_1.png": "lecture/problem-1-ransac.md",
+    "lecture_problem_2.png": "lecture/problem-2-linear-system.md",
+    "lecture_problem_3.png": "lecture/problem-3-propagation.md",
+    "lecture_problem_4.png": "lecture/problem-4-update.md",
+    "lecture_problem_5.png": "lecture/problem-5-linearisation.md",
+    "lecture_problem_6.png": "lecture/problem-6-ekf-propagation.md",
+}
+"""File in docs/images: the page whose own code draws it."""
+
+LARGE_BYTES = 300_000
+"""From here on a figure is made smaller: a checkout has all of them."""
 
 
 def make(names: list[str], results: Path, jobs: int | None) -> None:
@@ -64,8 +86,18 @@ def make(names: list[str], results: Path, jobs: int | None) -> None:
                 files = draw_figures(found, [figure], Path(folder), ["png"])
                 if not files:
                     sys.exit(f"{name}: figure {figure!r} was not drawn: {files.skipped[figure]}")
-                shutil.copyfile(files[0], DOCS / "images" / name)
+                keep(files[0], name)
             print(f"docs/images/{name}")
+
+
+def keep(drawn: Path, name: str) -> None:
+    """Put a figure where the pages have it; large ones in 128 colours, a third of the size."""
+    kept = DOCS / "images" / name
+    if drawn.stat().st_size < LARGE_BYTES:
+        shutil.copyfile(drawn, kept)
+        return
+    with Image.open(drawn) as picture:
+        picture.convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE).save(kept, optimize=True)
 
 
 def make_matches(name: str) -> None:
@@ -80,14 +112,22 @@ def make_matches(name: str) -> None:
         titles = [f"image {k}" for k in pair]
         files = draw_front_end(titles, pictures, features, [matches], Path(folder))
         drawn = next(file for file in files if file.stem == "matches")
-        shutil.copyfile(drawn, DOCS / "images" / name)
+        keep(drawn, name)
+    print(f"docs/images/{name}")
+
+
+def make_of_page(name: str) -> None:
+    """Run the page's code, and keep the figure."""
+    with tempfile.TemporaryDirectory() as folder:
+        run_page(DOCS / PAGES[name], Path(folder))
+        keep(Path(folder) / name, name)
     print(f"docs/images/{name}")
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", 1)[1])
-    known = [*IMAGES, *MATCHES, *STUDY]
+    known = [*IMAGES, *MATCHES, *PAGES, *STUDY]
     parser.add_argument(
         "images", nargs="*", metavar="IMAGE", help=f"of {', '.join(known)}; default: all but the study's"
     )
@@ -97,11 +137,14 @@ def main() -> None:
     unknown = sorted(set(options.images) - set(known))
     if unknown:
         parser.error(f"no image {', '.join(unknown)}; known: {', '.join(known)}")
-    names = options.images or [*IMAGES, *MATCHES]
+    names = options.images or [*IMAGES, *MATCHES, *PAGES]
     for name in names:
         if name in MATCHES:
             make_matches(name)
-    make([name for name in names if name not in MATCHES], options.results, options.jobs)
+        if name in PAGES:
+            make_of_page(name)
+    of_experiments = [name for name in names if name not in {*MATCHES, *PAGES}]
+    make(of_experiments, options.results, options.jobs)
 
 
 if __name__ == "__main__":

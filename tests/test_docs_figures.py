@@ -22,13 +22,15 @@ COMMAND = ROOT / "docs" / "make_figures.py"
 def command() -> dict[str, Any]:
     """What the command's file defines."""
     namespace: dict[str, Any] = {"__name__": "make_figures", "__file__": str(COMMAND)}
-    exec(compile(COMMAND.read_text(encoding="utf-8"), str(COMMAND), "exec"), namespace)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(COMMAND.parent))
+        exec(compile(COMMAND.read_text(encoding="utf-8"), str(COMMAND), "exec"), namespace)
     return namespace
 
 
 def shown() -> set[str]:
     """Every image that a page shows, by its file name."""
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     links = [
         link for page in pages for link in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text("utf-8"))
     ]
@@ -38,7 +40,24 @@ def shown() -> set[str]:
 
 def test_every_image_is_made_by_the_command_and_shown(command: dict[str, Any]) -> None:
     kept = {path.name for path in (ROOT / "docs" / "images").iterdir()}
-    assert shown() == {*command["IMAGES"], *command["MATCHES"], *command["STUDY"]} == kept
+    made = {*command["IMAGES"], *command["MATCHES"], *command["STUDY"], *command["PAGES"]}
+    assert made == kept
+    # The page of the shipped experiments shows each experiment's own (tests/docs/test_site.py).
+    assert shown() <= made
+    assert {*command["PAGES"], *command["MATCHES"], *command["STUDY"]} <= shown()
+
+
+def test_every_image_of_a_page_is_drawn_by_its_code_and_shown_there(command: dict[str, Any]) -> None:
+    for image, page in command["PAGES"].items():
+        text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+        assert f'savefig("{image}"' in text
+        assert f"images/{image})" in text
+
+
+def test_images_do_not_make_a_checkout_heavy() -> None:
+    sizes = [path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()]
+    assert max(sizes) < 1_000_000
+    assert sum(sizes) < 6_000_000
 
 
 def test_every_image_comes_from_a_shipped_experiment_that_draws_it(command: dict[str, Any]) -> None:

@@ -231,3 +231,18 @@ def test_doctor_knows_numba(
     (finding,) = [found for found in doctor.examine() if found.what == "numba"]
     assert finding.ok == ok
     assert said in finding.detail
+
+
+def test_the_description_of_a_wheel_links_to_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the README leaves the repository, its figures and pages are found by absolute links."""
+    given = setup_arguments(monkeypatch)
+    assert given["long_description_content_type"] == "text/markdown"
+    assert {"version", "readme"} <= set(PROJECT["dynamic"])
+    links = re.findall(r"(!?)\[[^\]]*\]\(([^)]+)\)", given["long_description"])
+    home = PROJECT["urls"]["Homepage"]
+    assert len(links) > 15
+    for image, link in links:
+        kind = "raw" if image else "blob"
+        assert link.startswith(f"{home}/{kind}/main/"), link
+        path = link.removeprefix(f"{home}/{kind}/main/").partition("#")[0]
+        assert (ROOT / path).exists(), link
