@@ -16,7 +16,9 @@ from scipy.special import chdtri
 from slamcmp.errors import UsageError
 from slamcmp.frontend.landmark_tracks import LandmarkTracks
 from slamcmp.registry import front_ends
-from slamcmp.types import BoolArray, Detections, FloatArray, Frame, FrontEndReport, Log, MeasurementStream
+from slamcmp.types import BoolArray, Detections, FloatArray, FrontEndReport, IntArray, Log, MeasurementStream
+from slamcmp.types.columns import Columns, own_parts
+from slamcmp.types.stream import frames_of
 
 STAGES = ("not_finite", "unlabelled", "duplicate", "range", "field_of_view", "mahalanobis", "unconfirmed")
 
@@ -62,35 +64,41 @@ def labelled(
     threshold = np.inf if gate_probability is None else float(chdtri(sensor.dim, 1.0 - gate_probability))
     uses_tracks = gate_probability is not None or min_sightings > 1
     tracks = LandmarkTracks(sensor, threshold, restart_after, min_sightings) if uses_tracks else None
-    frames, kept, counts = [], [], []
-    for k, detections in enumerate(log.detections):
-        passed, removed = _static_checks(
-            detections, _body_points(log, detections), range_min_m, range_max_m, field_of_view_deg
-        )
-        if tracks is not None:
+    sizes = np.array([each.ids.size for each in log.detections], dtype=np.int64)
+    every = Detections(
+        np.concatenate([each.z for each in log.detections]),
+        np.concatenate([each.R for each in log.detections]),
+        np.concatenate([each.ids for each in log.detections]),
+    )
+    frame_of = np.repeat(np.arange(sizes.size), sizes)
+    passed, removed = _static_checks(
+        every, frame_of, _body_points(log, every), range_min_m, range_max_m, field_of_view_deg
+    )
+    tracked = np.zeros((sizes.size, 2), dtype=np.int64)
+    if tracks is not None:
+        ends = np.cumsum(sizes)
+        for k, (start, end) in enumerate(zip(ends - sizes, ends, strict=True)):
             tracks.predict(log.T_prev_body[k], log.Q[k])
-            rows = np.flatnonzero(passed)
-            verdict = tracks.test(detections.ids[rows], detections.z[rows], detections.R[rows])
-            removed += [int(verdict.rejected.sum()), int(verdict.unconfirmed.sum())]
+            rows = start + np.flatnonzero(passed[start:end])
+            verdict = tracks.test(every.ids[rows], every.z[rows], every.R[rows])
+            tracked[k] = verdict.rejected.sum(), verdict.unconfirmed.sum()
             passed[rows[verdict.rejected | verdict.unconfirmed]] = False
-        else:
-            removed += [0, 0]
-        counts.append([passed.size, *removed, int(passed.sum())])
-        kept.append(passed)
-        frames.append(
-            Frame(
-                k,
-                float(log.t[k]),
-                log.T_prev_body[k],
-                log.Q[k],
-                detections.ids[passed],
-                detections.z[passed],
-                detections.R[passed],
-                relative_poses=None if log.relative_poses is None else log.relative_poses[k],
-            )
-        )
-    report = FrontEndReport(STAGES, np.array(counts, dtype=np.int64), tuple(kept))
-    return MeasurementStream(log.problem, tuple(frames), report)
+    of_frames = [np.bincount(frame_of[each], minlength=sizes.size) for each in (*removed, passed)]
+    counts = np.stack([sizes, *of_frames[:-1], *tracked.T, of_frames[-1]], axis=1)
+    columns = Columns(
+        np.arange(sizes.size),
+        log.t,
+        log.T_prev_body,
+        log.Q,
+        of_frames[-1],
+        every.ids[passed],
+        every.z[passed],
+        every.R[passed],
+    )
+    related = {} if log.relative_poses is None else dict(enumerate(log.relative_poses))
+    frames = frames_of(columns, relative_poses={k: each for k, each in related.items() if each is not None})
+    report = FrontEndReport(STAGES, counts.astype(np.int64), tuple(own_parts(passed, sizes)))
+    return MeasurementStream(log.problem, frames, report)
 
 
 def _body_points(log: Log, detections: Detections) -> FloatArray:
@@ -100,29 +108,37 @@ def _body_points(log: Log, detections: Detections) -> FloatArray:
 
 def _static_checks(
     detections: Detections,
+    frame_of: IntArray,
     body_points: FloatArray,
     range_min_m: float,
     range_max_m: float,
     field_of_view_deg: float,
-) -> tuple[BoolArray, list[int]]:
-    """The checks that need no memory; a detection is counted at the first one it fails."""
+) -> tuple[BoolArray, list[BoolArray]]:
+    """The checks that need no memory, (M,) each; a detection is counted at the first one it fails."""
     ids = detections.ids
     finite = np.isfinite(detections.z).all(axis=1) & np.isfinite(detections.R).all(axis=(1, 2))
-    first = np.zeros(ids.size, dtype=bool)
-    first[np.unique(ids, return_index=True)[1]] = True
     with np.errstate(invalid="ignore"):
         distance = np.linalg.norm(body_points, axis=1)
         off_axis = np.arctan2(np.linalg.norm(body_points[:, 1:], axis=1), body_points[:, 0])
         checks = (
             finite,
             ids >= 0,
-            first | (ids < 0),
+            _first_of_frame(ids, frame_of) | (ids < 0),
             (distance >= range_min_m) & (distance <= range_max_m),
             off_axis <= np.radians(field_of_view_deg / 2.0),
         )
     passed = np.ones(ids.size, dtype=bool)
     removed = []
     for check in checks:
-        removed.append(int((passed & ~check).sum()))
+        removed.append(passed & ~check)
         passed &= check
     return passed, removed
+
+
+def _first_of_frame(ids: IntArray, frame_of: IntArray) -> BoolArray:
+    """Whether no earlier detection of the same frame bears that id, (M,)."""
+    # Stable: of equal ones the first stands first.
+    order = np.lexsort((ids, frame_of))
+    first = np.ones(ids.size, dtype=bool)
+    first[order[1:]] = (np.diff(frame_of[order]) != 0) | (np.diff(ids[order]) != 0)
+    return first

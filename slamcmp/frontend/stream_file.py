@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
 from slamcmp.support.atomic import write_atomically
-from slamcmp.types import Detections, Frame, FrontEndReport, MeasurementStream, Problem, RelativePoses
+from slamcmp.types import Detections, FrontEndReport, MeasurementStream, Problem, RelativePoses
+from slamcmp.types.columns import Columns, columns_of, parts
+from slamcmp.types.stream import frames_of
 
 FORMAT = "slamcmp-stream-1"
 AnyArray = NDArray[Any]
@@ -35,17 +37,18 @@ def save_stream(stream: MeasurementStream, path: Path | str) -> None:
         "events": {} if stream.report is None else dict(stream.report.events),
         "warnings": [] if stream.report is None else list(stream.report.warnings),
     }
+    columns = columns_of(frames)
     arrays: dict[str, Any] = {
         "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
         "prior_T": stream.problem.T_world_body,
         "prior_P": stream.problem.P,
-        "t": np.array([frame.t for frame in frames]),
-        "T_prev_body": np.stack([frame.T_prev_body for frame in frames]),
-        "Q": np.stack([frame.Q for frame in frames]),
-        "size": np.array([frame.ids.size for frame in frames]),
-        "ids": np.concatenate([frame.ids for frame in frames]),
-        "z": np.concatenate([frame.z for frame in frames]),
-        "R": np.concatenate([frame.R for frame in frames]),
+        "t": columns.t,
+        "T_prev_body": columns.T_prev_body,
+        "Q": columns.Q,
+        "size": columns.sizes,
+        "ids": columns.ids,
+        "z": columns.z,
+        "R": columns.R,
     }
     entering = [frame for frame in frames if frame.entries is not None]
     if entering:
@@ -106,29 +109,16 @@ def load_stream(path: Path | str) -> MeasurementStream:
 def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
     for array in data.values():
         array.flags.writeable = False
-    ends = np.cumsum(data["size"])
-    starts = ends - data["size"]
-    if len(data["ids"]) != (ends[-1] if ends.size else 0):
+    if len(data["ids"]) != data["size"].sum():
         raise DataError("the observation arrays do not have the length that the frames add up to")
-    entries, related = _entries(data), _relative_poses(data)
-    # Copies: the base of a slice is the whole array, and with it the future.
-    frames = tuple(
-        Frame(
-            k,
-            float(data["t"][k]),
-            _alone(data["T_prev_body"][k]),
-            _alone(data["Q"][k]),
-            _alone(data["ids"][a:b]),
-            _alone(data["z"][a:b]),
-            _alone(data["R"][a:b]),
-            entries.get(k),
-            related.get(k),
-        )
-        for k, (a, b) in enumerate(zip(starts, ends, strict=True))
+    columns = Columns(
+        np.arange(data["size"].size),
+        *(data[name] for name in ("t", "T_prev_body", "Q", "size", "ids", "z", "R")),
     )
+    frames = frames_of(columns, _entries(data), _relative_poses(data))
     report = None
     if header["stages"] is not None:
-        kept = np.split(data["kept"], np.cumsum(data["kept_size"])[:-1])
+        kept = parts(data["kept"], data["kept_size"])
         # Streams stored before there were events have none.
         report = FrontEndReport(
             tuple(header["stages"]),

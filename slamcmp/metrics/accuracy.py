@@ -23,6 +23,7 @@ from slamcmp.metrics.matching import (
     matched_poses,
     rotation_angle,
 )
+from slamcmp.metrics.remembered import remembered
 from slamcmp.registry import metrics
 from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
@@ -179,6 +180,13 @@ def segment_errors(
     driven, not the nominal one, so that the distance between frames does not matter; every frame starts
     segments, not every tenth. No segment fits: empty.
     """
+    return _segment_errors(trajectory, truth, None if lengths_m is None else tuple(lengths_m))
+
+
+@remembered
+def _segment_errors(
+    trajectory: Trajectory, truth: GroundTruth, lengths_m: tuple[float, ...] | None
+) -> tuple[FloatArray, FloatArray]:
     estimated, true, rows = known_poses(trajectory, truth)
     whole = translation(truth.T_world_body[truth.known()])
     if not len(whole):
@@ -200,6 +208,7 @@ def segment_errors(
     return inverse(moved_true) @ moved, path[ends] - path[starts]
 
 
+@remembered
 def _relative_errors(trajectory: Trajectory, truth: GroundTruth, delta_frames: int) -> FloatArray:
     estimated, true = matched_poses(trajectory, truth)
     known = truth.known()[: len(true)]

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from slamcmp.metrics.consistency import nees_series
+from slamcmp.metrics.remembered import remembered
 from slamcmp.registry import metrics
 from slamcmp.types import FloatArray, GroundTruth, Trajectory
 
@@ -37,7 +38,7 @@ _BITS: dict[str, Any] = {
 @metrics.register("pose_entropy_bits", header="pose entropy", lower_is_better=None, **_BITS)
 def pose_entropy_bits(trajectory: Trajectory, truth: GroundTruth) -> float:
     """Mean entropy of the claimed pose; the difference of two back ends is what one claims to know more."""
-    log_det, _ = _by_frame(trajectory, truth)
+    log_det, _ = _by_frame(trajectory, truth, None)
     dimension = 0 if trajectory.P is None else trajectory.P.shape[-1]
     return _mean(0.5 * (log_det + dimension * math.log2(2.0 * math.pi * math.e)))
 
@@ -45,12 +46,17 @@ def pose_entropy_bits(trajectory: Trajectory, truth: GroundTruth) -> float:
 @metrics.register("pose_log_score_bits", header="pose log score", lower_is_better=False, **_BITS)
 def pose_log_score_bits(trajectory: Trajectory, truth: GroundTruth) -> float:
     """Mean logarithmic score of the claimed pose at the true one; differences between back ends count."""
-    log_det, nees = _by_frame(trajectory, truth)
+    log_det, nees = _by_frame(trajectory, truth, None)
     dimension = 0 if trajectory.P is None else trajectory.P.shape[-1]
     return _mean(-0.5 * (log_det + dimension * math.log2(2.0 * math.pi) + nees / math.log(2.0)))
 
 
-def _by_frame(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArray, FloatArray]:
+@remembered
+def _by_frame(
+    trajectory: Trajectory,
+    truth: GroundTruth,
+    how: None,  # noqa: ARG001
+) -> tuple[FloatArray, FloatArray]:
     """log2 det P and NEES of the frames that have a NEES, (K,) each, in the truth's order."""
     nees = nees_series(trajectory, truth)
     used = ~np.isnan(nees)

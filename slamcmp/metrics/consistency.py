@@ -24,6 +24,7 @@ from slamcmp.metrics.matching import (
     rotation_part,
     translation_part,
 )
+from slamcmp.metrics.remembered import remembered
 from slamcmp.registry import metrics
 from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
@@ -164,6 +165,11 @@ def chi2_per_dof(run: Run, truth: GroundTruth | None = None) -> float:  # noqa: 
 
 def nees_series(trajectory: Trajectory, truth: GroundTruth, part: str = "pose") -> FloatArray:
     """NEES of each frame, (K,), of the ``pose``, its ``position`` or its ``heading``; NaN where skipped."""
+    return _nees_series(trajectory, truth, part)
+
+
+@remembered
+def _nees_series(trajectory: Trajectory, truth: GroundTruth, part: str) -> FloatArray:
     errors = pose_errors(trajectory, truth)
     if trajectory.P is None:
         return np.full(len(errors), math.nan)
@@ -194,7 +200,8 @@ def quadratic_forms(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     deviations = np.sqrt(np.where(usable[..., None], variances, 1.0))
     scaled = covariances / (deviations[..., :, None] * deviations[..., None, :])
     correlations = np.where(usable[..., None, None], scaled, np.eye(errors.shape[-1]))
-    usable &= np.linalg.eigvalsh(correlations)[..., 0] > _SINGULAR
+    # Of one dimension the matrix is 1.
+    usable &= errors.shape[-1] == 1 or np.linalg.eigvalsh(correlations)[..., 0] > _SINGULAR
     correlations = np.where(usable[..., None, None], correlations, np.eye(errors.shape[-1]))
     whitened = np.where(usable[..., None], errors, 0.0) / deviations
     solved = np.linalg.solve(correlations, whitened[..., None])[..., 0]

@@ -15,6 +15,7 @@ odometry step alone. So it says where the run contradicts itself, not what its c
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ from scipy.special import chdtrc, chdtri
 from slamcmp.geometry import inverse, local
 from slamcmp.metrics.consistency import nees_series, quadratic_forms
 from slamcmp.metrics.matching import pose_dimension
-from slamcmp.types import FloatArray, GroundTruth, MeasurementStream, Run, SensorModel
+from slamcmp.types import FloatArray, GroundTruth, IntArray, MeasurementStream, Run, SensorModel
 
 WINDOW = 10
 """Frames over which NIS is summed, and in which a suspect is looked for."""
@@ -92,10 +93,12 @@ def find_suspect(
     or where the pose before is not finite.
     """
     last = min(last, run.online.t.size, len(stream.frames) - 1)
-    sightings = _sightings(stream, last)
+    first = max(0, last - window + 1)
+    of = {landmark for frame in stream.frames[first : last + 1] for landmark in frame.ids.tolist()}
+    sightings = _sightings(stream, last, of)
     suspects = [
         found
-        for k in range(max(0, last - window + 1), last + 1)
+        for k in range(first, last + 1)
         for found in [_worst_of_frame(stream, run, truth, k, sightings)]
         if found is not None
     ]
@@ -150,29 +153,36 @@ def _window_sums(series: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Sighting:
-    """One measurement that places a landmark."""
+class _Sightings:
+    """The measurements that place one landmark, in order."""
 
-    k: int
     sensor: SensorModel
+    k: IntArray
+    """(m,)."""
     z: FloatArray
+    """(m, d)."""
     R: FloatArray
+    """(m, d, d)."""
 
 
-def _sightings(stream: MeasurementStream, last: int) -> dict[int, list[_Sighting]]:
-    """Of each landmark what placed it up to frame ``last``, in order.
+def _sightings(stream: MeasurementStream, last: int, of: Collection[int]) -> dict[int, _Sightings]:
+    """Of each of the landmarks ``of`` what placed it up to frame ``last``.
 
     A sensor whose measurement places none has its landmarks' entries for that.
     """
     sensor = stream.problem.sensor
     by: SensorModel | None = getattr(sensor, "entry_sensor", None)
-    found: dict[int, list[_Sighting]] = {}
+    found: dict[int, list[tuple[int, FloatArray, FloatArray]]] = {}
     for frame in stream.frames[: last + 1]:
         seen = frame if by is None else frame.entries
         if seen is not None:
-            for landmark, z, R in zip(seen.ids.tolist(), seen.z, seen.R, strict=True):
-                found.setdefault(landmark, []).append(_Sighting(frame.k, by or sensor, z, R))
-    return found
+            for row, landmark in enumerate(seen.ids.tolist()):
+                if landmark in of:
+                    found.setdefault(landmark, []).append((frame.k, seen.z[row], seen.R[row]))
+    return {
+        landmark: _Sightings(by or sensor, *(np.array(column) for column in zip(*each, strict=True)))
+        for landmark, each in found.items()
+    }
 
 
 def _worst_of_frame(
@@ -180,7 +190,7 @@ def _worst_of_frame(
     run: Run,
     truth: GroundTruth | None,
     k: int,
-    sightings: dict[int, list[_Sighting]],
+    sightings: dict[int, _Sightings],
 ) -> Suspect | None:
     frame, sensor = stream.frames[k], stream.problem.sensor
     before = run.online.T_world_body[k - 1] if k else stream.problem.T_world_body
@@ -189,7 +199,7 @@ def _worst_of_frame(
         return None
     worst: tuple[float, int, int, FloatArray, FloatArray] | None = None
     for row, landmark in enumerate(frame.ids.tolist()):
-        placed = _place(run, [each for each in sightings.get(landmark, []) if each.k < k])
+        placed = _place(run, sightings.get(landmark), k)
         if placed is None:
             continue
         position, spread = placed
@@ -219,18 +229,18 @@ def _worst_of_frame(
     )
 
 
-def _place(run: Run, earlier: list[_Sighting]) -> tuple[FloatArray, FloatArray] | None:
-    """Mean of a landmark's earlier sightings, weighted by the sensor's noise, and its covariance."""
-    n = run.online.T_world_body.shape[-1] - 1
-    information, total = np.zeros((n, n)), np.zeros(n)
-    for each in earlier:
-        T = run.online.T_world_body[each.k]
-        position = each.sensor.invert(T, each.z)
-        _, by_landmark = each.sensor.jacobians(T, position)
-        weight = by_landmark.T @ np.linalg.solve(each.R, by_landmark)
-        if np.isfinite(position).all() and np.isfinite(weight).all():
-            information += weight
-            total += weight @ position
+def _place(run: Run, seen: _Sightings | None, before: int) -> tuple[FloatArray, FloatArray] | None:
+    """Mean of a landmark's sightings before a frame, weighted by the sensor's noise, and its covariance."""
+    earlier = 0 if seen is None else int(np.searchsorted(seen.k, before))
+    if seen is None or not earlier:
+        return None
+    T, z, R = run.online.T_world_body[seen.k[:earlier]], seen.z[:earlier], seen.R[:earlier]
+    positions = seen.sensor.invert(T, z)
+    _, by_landmark = seen.sensor.jacobians(T, positions)
+    weights = np.swapaxes(by_landmark, -1, -2) @ np.linalg.solve(R, by_landmark)
+    known = np.isfinite(positions).all(axis=-1) & np.isfinite(weights).all(axis=(-1, -2))
+    positions, weights = positions[known], weights[known]
+    information, total = weights.sum(axis=0), (weights @ positions[..., None])[..., 0].sum(axis=0)
     if not information.any():
         return None
     try:

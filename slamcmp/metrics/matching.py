@@ -6,6 +6,7 @@ import numpy as np
 
 from slamcmp.errors import DataError
 from slamcmp.geometry import local, rotation, so3_log, wrap
+from slamcmp.metrics.remembered import remembered
 from slamcmp.types import FloatArray, GroundTruth, IntArray, Landmarks, Trajectory
 
 
@@ -44,6 +45,11 @@ def known_poses(trajectory: Trajectory, truth: GroundTruth) -> tuple[FloatArray,
 
 def pose_errors(trajectory: Trajectory, truth: GroundTruth) -> FloatArray:
     """``log(T_hat⁻¹ T_true)`` in the body tangent, (K, p); NaN where the truth is not known."""
+    return _pose_errors(trajectory, truth, None)
+
+
+@remembered
+def _pose_errors(trajectory: Trajectory, truth: GroundTruth, how: None) -> FloatArray:  # noqa: ARG001
     estimated, true, rows = known_poses(trajectory, truth)
     errors = np.full((trajectory.t.size, pose_dimension(truth.T_world_body)), np.nan)
     errors[rows] = local(estimated, true)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slamcmp.errors import DataError
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd, require_unique
+from slamcmp.types.columns import parts
 from slamcmp.types.sensor import SensorModel
 
 _SAME_STAMP_S = 1e-9
@@ -55,6 +56,25 @@ class Detections:
         ids = frozen(self.ids, "Detections.ids", (None,), np.int64)
         z = frozen(self.z, "Detections.z", (ids.size, None))
         assign(self, ids=ids, z=z, R=frozen(self.R, "Detections.R", (ids.size, z.shape[1], z.shape[1])))
+
+
+def detections_of(sizes: IntArray, z: FloatArray, R: FloatArray, ids: IntArray) -> list[Detections]:
+    """Detections of all instants, ``sizes`` (K,) of them each, z (M, d), R (M, d, d) and ids (M,) together.
+
+    Raises:
+        DataError: the shapes do not fit one another.
+    """
+    whole = Detections(z, R, ids)
+    if sizes.sum() != whole.ids.size:
+        raise DataError(f"Detections: {whole.ids.size} of all instants where {sizes.sum()} are needed")
+    made = []
+    columns = (parts(column, sizes) for column in (whole.z, whole.R, whole.ids))
+    for own_z, own_R, own_ids in zip(*columns, strict=True):
+        # Past the constructor: what it looks at was looked at in all of them.
+        detections = object.__new__(Detections)
+        detections.__dict__.update(z=own_z, R=own_R, ids=own_ids)
+        made.append(detections)
+    return made
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from slamcmp.errors import DataError
 from slamcmp.types.arrays import BoolArray, FloatArray, IntArray
 from slamcmp.types.association import Association
 from slamcmp.types.checks import TANGENT_DIM, assign, frozen, require_finite, require_psd
+from slamcmp.types.columns import Columns, columns_of, own_parts, own_rows
 from slamcmp.types.log import Detections, Problem, RelativePoses
 from slamcmp.types.sensor import SensorModel
 
@@ -69,6 +71,61 @@ class Frame:
         )
 
 
+def frames_of(
+    columns: Columns,
+    entries: Mapping[int, Detections] | None = None,
+    relative_poses: Mapping[int, RelativePoses] | None = None,
+) -> tuple[Frame, ...]:
+    """The frames of columns, each with arrays of its own; entries and relative poses by frame.
+
+    Raises:
+        ValueError: the columns do not fit one another.
+    """
+    K, M = columns.sizes.size, int(columns.sizes.sum())
+    n = columns.T_prev_body.shape[-1] - 1
+    p, d = TANGENT_DIM.get(n, 0), columns.z.shape[-1]
+    wanted = {
+        "k": (K,),
+        "t": (K,),
+        "T_prev_body": (K, n + 1, n + 1),
+        "Q": (K, p, p),
+        "ids": (M,),
+        "z": (M, d),
+        "R": (M, d, d),
+    }
+    for name, shape in wanted.items():
+        have = getattr(columns, name).shape
+        if have != shape:
+            raise ValueError(f"Frame.{name}: shape {have} of all frames together where {shape} is needed")
+    entries, relative_poses = entries or {}, relative_poses or {}
+    made = []
+    for k, t, T, Q, ids, z, R in zip(
+        columns.k.tolist(),
+        columns.t.tolist(),
+        own_rows(np.asarray(columns.T_prev_body, dtype=np.float64)),
+        own_rows(np.asarray(columns.Q, dtype=np.float64)),
+        own_parts(np.asarray(columns.ids, dtype=np.int64), columns.sizes),
+        own_parts(np.asarray(columns.z, dtype=np.float64), columns.sizes),
+        own_parts(np.asarray(columns.R, dtype=np.float64), columns.sizes),
+        strict=True,
+    ):
+        # Past the constructor: what it looks at in each frame was looked at in all.
+        frame = object.__new__(Frame)
+        frame.__dict__.update(
+            k=k,
+            t=t,
+            T_prev_body=T,
+            Q=Q,
+            ids=ids,
+            z=z,
+            R=R,
+            entries=entries.get(k),
+            relative_poses=relative_poses.get(k),
+        )
+        made.append(frame)
+    return tuple(made)
+
+
 @dataclass(frozen=True)
 class FrontEndReport:
     """What each stage of the front end let through, frame by frame."""
@@ -113,11 +170,30 @@ class MeasurementStream:
     """Not part of the digest: it describes the stream's making, not its content."""
 
     def __post_init__(self) -> None:
-        sensor = self.problem.sensor
-        size = sensor.space_dim + 1
-        entered: set[int] = set()
         if not self.frames:
             raise DataError("MeasurementStream.frames: needs at least one frame")
+        size, d = self.problem.sensor.space_dim + 1, self.problem.sensor.dim
+        fit = all(
+            frame.T_prev_body.shape == (size, size) and frame.z.shape[1] == d and frame.k == k
+            for k, frame in zip(count(), self.frames)
+        )
+        if not fit:
+            self._refuse()
+        columns = columns_of(self.frames)
+        if (np.diff(columns.t) <= 0).any() or columns.sees_one_twice():
+            self._refuse()
+        self._check_what_is_rare()
+        if not np.array_equal(columns.T_prev_body[0], np.eye(size)) or columns.Q[0].any():
+            raise DataError("MeasurementStream.frames[0]: must carry the identity and Q = 0")
+        for name in ("T_prev_body", "Q", "z", "R"):
+            require_finite(getattr(columns, name), f"MeasurementStream.frames[*].{name}")
+        require_psd(columns.Q, "Frame.Q", definite=False)
+        require_psd(columns.R, "Frame.R", definite=True)
+
+    def _refuse(self) -> None:
+        """Raise DataError for the first frame that is not the next one of this sensor's."""
+        sensor = self.problem.sensor
+        size = sensor.space_dim + 1
         for index, frame in enumerate(self.frames):
             where = f"MeasurementStream.frames[{index}]"
             if frame.k != index:
@@ -131,16 +207,18 @@ class MeasurementStream:
                 raise DataError(f"{where}: time {frame.t} s does not come after the previous frame's")
             if frame.ids.size > 1 and np.unique(frame.ids).size != frame.ids.size:
                 raise DataError(f"{where}: a landmark id stands twice")
-            _check_entries(sensor, frame, entered, where)
-            _check_relative_poses(frame, size, where)
-        first = self.frames[0]
-        if not np.array_equal(first.T_prev_body, np.eye(size)) or first.Q.any():
-            raise DataError("MeasurementStream.frames[0]: must carry the identity and Q = 0")
-        for name in ("T_prev_body", "Q", "z", "R"):
-            stacked = np.concatenate([np.ravel(getattr(frame, name)) for frame in self.frames])
-            require_finite(stacked, f"MeasurementStream.frames[*].{name}")
-        require_psd(np.stack([frame.Q for frame in self.frames]), "Frame.Q", definite=False)
-        require_psd(np.concatenate([frame.R for frame in self.frames]), "Frame.R", definite=True)
+
+    def _check_what_is_rare(self) -> None:
+        """Entries and relative poses, which most streams do not have."""
+        sensor = self.problem.sensor
+        size = sensor.space_dim + 1
+        enter = getattr(sensor, "entry_sensor", None) is not None
+        entered: set[int] = set()
+        for frame in self.frames:
+            if enter or frame.entries is not None:
+                _check_entries(sensor, frame, entered, f"MeasurementStream.frames[{frame.k}]")
+            if frame.relative_poses is not None:
+                _check_relative_poses(frame, size, f"MeasurementStream.frames[{frame.k}]")
         entries = [frame.entries for frame in self.frames if frame.entries is not None]
         if entries:
             require_finite(np.concatenate([each.z.ravel() for each in entries]), "Frame.entries.z")
@@ -159,6 +237,10 @@ class MeasurementStream:
         hasher = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
         hasher.update(self.problem.T_world_body.astype("<f8").tobytes())
         hasher.update(self.problem.P.astype("<f8").tobytes())
+        plain = all(frame.entries is None and frame.relative_poses is None for frame in self.frames)
+        if plain:
+            hasher.update(columns_of(self.frames).content())
+            return hasher.hexdigest()
         for frame in self.frames:
             hasher.update(np.array([frame.k, frame.ids.size], dtype="<i8").tobytes())
             hasher.update(np.float64(frame.t).astype("<f8").tobytes())

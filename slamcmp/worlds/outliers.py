@@ -1,9 +1,9 @@
 """What goes wrong in a world on purpose: wrong labels, ghosts, bursts, and wheels that slip.
 
 Each kind has a generator of its own, spawned from the trial's outliers, and draws the same numbers whatever
-the other kinds are set to: none of them changes a world in which it is off. A detection that went wrong looks
-like any other: its covariance, its place among the others and its label tell nothing. Which they were is for
-the truth alone to say.
+the other kinds are set to: none of them changes a world in which it is off, where it draws nothing at all.
+A detection that went wrong looks like any other: its covariance, its place among the others and its label
+tell nothing. Which they were is for the truth alone to say.
 """
 
 from __future__ import annotations
@@ -51,8 +51,16 @@ class OutlierDraws:
         slipping = self._slips.random(steps) < self._rates.slip_probability
         return np.where(slipping, 1.0 + self._rates.slip_share, 1.0)
 
+    @property
+    def only_slips(self) -> bool:
+        """Whether nothing but wheels can go wrong: no frame then needs to be asked about."""
+        rates = self._rates
+        return not (rates.wrong_association_fraction or rates.clutter_per_frame or rates.burst_probability)
+
     def in_burst(self) -> bool:
         """Whether the next frame lies in a burst; call it once a frame."""
+        if not self._rates.burst_probability:
+            return False
         begins = self._bursts.random() < self._rates.burst_probability
         if begins and not self._burst_left:
             self._burst_left = self._rates.burst_frames
@@ -62,8 +70,10 @@ class OutlierDraws:
 
     def measured_instead(self, seen: BoolArray) -> IntArray:
         """Which landmark each label's detection is of, (L,): its own, or another of those ``seen`` (L,)."""
-        luck = self._labels.random((seen.size, 2))
         of = np.arange(seen.size)
+        if not self._rates.wrong_association_fraction:
+            return of
+        luck = self._labels.random((seen.size, 2))
         visible = np.flatnonzero(seen)
         if visible.size < 2:
             return of
@@ -76,8 +86,10 @@ class OutlierDraws:
 
     def ghosts(self, seen: BoolArray) -> BoolArray:
         """Under which labels of landmarks that are not ``seen`` (L,) something is reported, (L,)."""
+        mask = np.zeros(seen.size, dtype=bool)
+        if not self._rates.clutter_per_frame:
+            return mask
         count = int(self._clutter.poisson(self._rates.clutter_per_frame))
         order = self._clutter.permutation(seen.size)
-        mask = np.zeros(seen.size, dtype=bool)
         mask[order[~seen[order]][:count]] = True
         return mask

@@ -16,7 +16,9 @@ from slamcmp.geometry import adjoint_of_inverse, dead_reckoning, exp, se2_coordi
 from slamcmp.models.motion import Bicycle, MotionModel, StraightThenTurn, Unicycle, WheelEncoders
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import RandomStreams
-from slamcmp.types import BoolArray, Detections, FloatArray, GroundTruth, Log, Problem, SensorModel
+from slamcmp.types import BoolArray, Detections, FloatArray, GroundTruth, IntArray, Log, Problem
+from slamcmp.types.columns import parts
+from slamcmp.types.log import detections_of
 from slamcmp.worlds.outliers import OutlierDraws
 from slamcmp.worlds.settings import Settings
 
@@ -56,7 +58,7 @@ def simulate(name: str, world: World, settings: Settings, streams: RandomStreams
     increments, covariances = _odometry(vehicle, wheels, settings, step_noise)
     sensor = make_sensor(settings.sensor, {"space_dim": 2} if settings.sensor == "relative_position" else {})
     t: FloatArray = np.arange(settings.steps, dtype=np.float64) * dt
-    detections, outliers = _detect(sensor, poses, world.landmarks, settings, streams, draws)
+    detections, outliers = _detect(poses, world.landmarks, settings, streams, draws)
 
     sigmas = settings.noise_scale * np.array(
         [settings.prior_position_sigma_m] * 2 + [settings.prior_heading_sigma_rad]
@@ -153,7 +155,6 @@ def _odometry(
 
 
 def _detect(
-    sensor: SensorModel,
     poses: FloatArray,
     landmarks: FloatArray,
     settings: Settings,
@@ -172,30 +173,50 @@ def _detect(
     covariance = np.diag(sigmas**2)
     low = np.array([settings.range_min_m, -half_view])
     high = np.array([settings.range_max_m, half_view])
-    detections, masks = [], []
-    for k, T in enumerate(poses):
-        noise = streams.sensor.standard_normal(landmarks.shape)
-        luck = streams.outliers.random((len(landmarks), 3))
-        geometry = polar.predict(T, landmarks)
-        seen = np.asarray((geometry >= low).all(axis=1) & (geometry <= high).all(axis=1))
-        if k < settings.first_look:
-            seen[:] = False
-        of = draws.measured_instead(seen)
-        readings = sensor.predict(T, landmarks)[of] + sigmas * noise
-        ghosts = draws.ghosts(seen) & (k >= settings.first_look)
-        seen = seen | ghosts
-        wild = (luck[:, 0] < settings.outlier_fraction) | ghosts | draws.in_burst()
-        false = low + (high - low) * luck[:, 1:]
-        readings[wild] = false[wild] if is_polar else polar.invert(np.eye(3), false[wild])
-        readings = _rounded(readings, settings.resolution)
-        if is_polar:
-            readings[:, 1] = wrap(readings[:, 1])
-            # A sensor cannot report a range below zero; noise may ask for one very close by.
-            seen &= readings[:, 0] > 0
-        ids = np.flatnonzero(seen)
-        detections.append(Detections(readings[ids], np.tile(covariance, (ids.size, 1, 1)), ids))
-        masks.append((wild | (of != np.arange(of.size)))[ids])
-    return detections, masks
+    of_all = (len(poses), len(landmarks))
+    noise = streams.sensor.standard_normal((*of_all, 2))
+    luck = streams.outliers.random((*of_all, 3))
+    # The same products as pose by pose, to the last bit; what follows looks at points of the body.
+    bodies = (landmarks - poses[:, None, :2, 2]) @ poses[:, :2, :2]
+    geometry = polar.predict(np.eye(3), bodies)
+    seen = np.asarray((geometry >= low).all(axis=-1) & (geometry <= high).all(axis=-1))
+    seen[: settings.first_look] = False
+    readings = geometry if is_polar else bodies
+    wild = luck[..., 0] < settings.outlier_fraction
+    spoilt = wild
+    if not draws.only_slips:
+        of, ghosts, burst = _misfortunes(draws, seen, settings.first_look)
+        readings = np.take_along_axis(readings, of[..., None], axis=1)
+        seen |= ghosts
+        wild |= ghosts | burst[:, None]
+        spoilt = wild | (of != np.arange(len(landmarks)))
+    readings = readings + sigmas * noise
+    if wild.any():
+        false = (low + (high - low) * luck[..., 1:])[wild]
+        readings[wild] = false if is_polar else polar.invert(np.eye(3), false)
+    readings = _rounded(readings, settings.resolution)
+    if is_polar:
+        readings[..., 1] = wrap(readings[..., 1])
+        # A sensor cannot report a range below zero; noise may ask for one very close by.
+        seen &= readings[..., 0] > 0
+    frames, ids = np.nonzero(seen)
+    sizes = np.bincount(frames, minlength=len(poses))
+    R = np.tile(covariance, (ids.size, 1, 1))
+    return detections_of(sizes, readings[seen], R, ids), list(parts(spoilt[seen], sizes))
+
+
+def _misfortunes(
+    draws: OutlierDraws, seen: BoolArray, first_look: int
+) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Which landmark each label's detection is of, (K, L), the ghosts, (K, L), and the bursts, (K,)."""
+    of = np.empty(seen.shape, dtype=np.int64)
+    ghosts = np.zeros_like(seen)
+    burst = np.zeros(len(seen), dtype=bool)
+    for k, visible in enumerate(seen):
+        of[k] = draws.measured_instead(visible)
+        ghosts[k] = draws.ghosts(visible) & (k >= first_look)
+        burst[k] = draws.in_burst()
+    return of, ghosts, burst
 
 
 def _rounded(values: FloatArray, resolution: float) -> FloatArray:

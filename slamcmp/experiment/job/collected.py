@@ -21,6 +21,7 @@ from slamcmp.types import (
     Status,
     Trajectory,
 )
+from slamcmp.types.columns import parts
 
 SERIES = "series/"
 NAME_BYTES = 200
@@ -67,7 +68,7 @@ class Collected:
         sizes = self._new("kept_sizes", (self.t.size,), 0, "int64")
         sizes[:] = [frame.ids.size for frame in stream.frames]
         masks = self._new("kept", (int(sizes.sum()),), False, "bool")
-        self.kept = np.split(masks, np.cumsum(sizes)[:-1])
+        self.kept = list(parts(masks, sizes))
 
     def keep(self, k: int, frame: Frame, back_end: Any) -> None:
         assert self.kept is not None
@@ -134,7 +135,7 @@ def recovered(
     done = done if bad is None else bad[0]
     kept = None
     if {"kept", "kept_sizes"} <= arrays.keys():
-        kept = tuple(np.split(arrays["kept"], np.cumsum(arrays["kept_sizes"])[:-1])[:done])
+        kept = tuple(parts(arrays["kept"], arrays["kept_sizes"]))[:done]
     return Run(
         back_end=label,
         parameters=parameters,

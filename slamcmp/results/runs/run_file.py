@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +14,7 @@ import numpy as np
 
 from slamcmp.support.atomic import write_atomically
 from slamcmp.types import Association, BoolArray, GroundTruth, IntArray, Landmarks, Run, Trajectory
+from slamcmp.types.columns import parts
 
 RUN_FORMAT = "slamcmp-run-1"
 TRUTH_FORMAT = "slamcmp-truth-1"
@@ -106,10 +108,16 @@ def truth_digest(truth: GroundTruth | None) -> str:
     if truth is None:
         return ""
     hasher = hashlib.sha256()
+    for array in (truth.t, truth.T_world_body, truth.ids, truth.positions):
+        hasher.update(_named(array.shape, array.dtype.str) + np.ascontiguousarray(array).tobytes())
     masks = () if truth.outliers is None else truth.outliers
-    for array in (truth.t, truth.T_world_body, truth.ids, truth.positions, *masks):
-        hasher.update(repr((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+    hasher.update(b"".join(_named(mask.shape, mask.dtype.str) + mask.tobytes() for mask in masks))
     return hasher.hexdigest()
+
+
+@functools.cache
+def _named(shape: tuple[int, ...], kind: str) -> bytes:
+    return repr((shape, kind)).encode()
 
 
 def relabelled(stored: StoredRun, label: str) -> StoredRun:
@@ -207,9 +215,8 @@ def _association_arrays(association: Association) -> dict[str, Any]:
 def _association(arrays: Mapping[str, Any]) -> Association | None:
     if "association_sizes" not in arrays:
         return None
-    ends = np.cumsum(arrays["association_sizes"])[:-1]
     columns = (arrays[f"association_{name}"] for name in ("ids", "labels", "points"))
-    return Association(*(tuple(np.split(column, ends)) for column in columns))
+    return Association(*(tuple(parts(column, arrays["association_sizes"])) for column in columns))
 
 
 def _trajectory(name: str, arrays: Mapping[str, Any]) -> Trajectory | None:
@@ -227,8 +234,7 @@ def _joined(name: str, masks: Sequence[BoolArray]) -> dict[str, Any]:
 def _masks(name: str, arrays: Mapping[str, Any]) -> tuple[BoolArray, ...] | None:
     if name not in arrays:
         return None
-    ends = np.cumsum(arrays[f"{name}_sizes"])
-    return tuple(np.split(arrays[name], ends[:-1])) if ends.size else ()
+    return tuple(parts(arrays[name], arrays[f"{name}_sizes"]))
 
 
 def _json(value: Any) -> Any:
