@@ -88,6 +88,15 @@ def of_runner(found: Any) -> list[tuple[str, float, float | None]]:
     ]
 
 
+def of_trials(found: Any) -> list[tuple[str, float, float | None]]:
+    p1 = found["p1"]
+    return [
+        ("P1 over its bare filters", p1["ratio"], 2.5),
+        ("a run beside its filter, of 0.1 s", p1["beside_s_a_run"] / 0.1, 1.0),
+        ("a stream, of 0.1 s", p1["stream_s"] / 0.1, 1.0),
+    ]
+
+
 Reader = Callable[[Any], Sequence[tuple[str, float, float | None]]]
 BENCHMARKS: dict[str, tuple[tuple[str, ...], Reader | None]] = {
     "ekf": (("ekf.py", "--json"), of_ekf),
@@ -97,6 +106,7 @@ BENCHMARKS: dict[str, tuple[tuple[str, ...], Reader | None]] = {
     "isam2": (("isam2.py", "--json"), of_isam2),
     "front_end": (("front_end.py", "--json"), of_front_end),
     "runner": (("runner.py", "--json"), of_runner),
+    "trials": (("trials.py", "--json"), of_trials),
     "sandbox": (("sandbox.py",), None),
 }
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 from collections import deque
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +24,10 @@ from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.planning.plan import Plan
 from slamcmp.experiment.planning.samples import Samples
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial
+from slamcmp.registry import Plugin
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.atomic import storage_error
+from slamcmp.support.code_version import PACKAGE
 from slamcmp.support.memory import machine_memory_mb
 from slamcmp.support.messages import LIMIT, describe, told
 from slamcmp.support.progress import Watcher
@@ -31,6 +35,8 @@ from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import Status
 
 LOOK_EVERY_S = 0.1
+LOOK_AHEAD = 64
+"""Jobs among which one is looked for whose stream a worker has at hand."""
 MEMORY_SHARE = 0.9
 """Of the machine's memory that all workers together may take, where the experiment sets no limit."""
 
@@ -92,7 +98,7 @@ class Schedule:
         running = 0
         while ((self._ready and self.fatal is None) or running) and not self._stop.is_set():
             while self._ready and running < self._workers.slots and self.fatal is None:
-                running += self._start(self._ready.popleft())
+                running += self._start(self._next())
             for ended in self._workers.wait(LOOK_EVERY_S):
                 running -= 1
                 # A worker that Ctrl-C hit while it was starting has not failed.
@@ -104,6 +110,20 @@ class Schedule:
         for ended in self._workers.wait(0.0) if self._stop.is_set() else ():
             if not ended.fault:
                 self._finish(ended)
+
+    def _next(self) -> StreamJob | RunJob:
+        """The next job: a run whose stream a worker without a job has at hand, or else another stream.
+
+        What waits for a stream that a busy worker has is left to that one, until nothing else is to be done.
+        """
+        at_hand = self._workers.at_hand()
+        ahead = list(islice(self._ready, LOOK_AHEAD if at_hand else 0))
+        chosen = next((index for index, job in enumerate(ahead) if job.stream_key in at_hand), None)
+        if chosen is None:
+            chosen = next((index for index, job in enumerate(ahead) if isinstance(job, StreamJob)), 0)
+        job = self._ready[chosen]
+        del self._ready[chosen]
+        return job
 
     def _require_samples(self) -> None:
         """Start nothing more where two seeds or recordings turned out to be one stream."""
@@ -159,10 +179,11 @@ class Schedule:
             data=job.data,
             watched=any("user_file" in plugin.traits for plugin in plugins),
             declared="user_file" not in plugins[0].traits or "files" in plugins[0].traits,
+            shares_process=all(map(_is_own, plugins)),
         )
 
     def _run_task(self, job: RunJob) -> Task:
-        traits = job.back_end.plugin().traits
+        plugin = job.back_end.plugin()
         return Task(
             "run",
             job.key,
@@ -178,8 +199,9 @@ class Schedule:
             own_gate=job.back_end.own_gate,
             code=job.code,
             data=job.data,
-            watched="user_file" in traits,
-            declared="files" in traits,
+            watched="user_file" in plugin.traits,
+            declared="files" in plugin.traits,
+            shares_process=_is_own(plugin),
         )
 
     def _finish(self, ended: Ended) -> None:
@@ -320,6 +342,14 @@ class Schedule:
             if task.log.stat().st_size:
                 return f"; its output is in {task.log}"
         return ""
+
+
+def _is_own(plugin: Plugin) -> bool:
+    """Whether it comes with this package: nothing that it leaves in its process is in another job's way."""
+    target = plugin.target
+    while isinstance(target, functools.partial):
+        target = target.func
+    return "user_file" not in plugin.traits and str(target.__module__).startswith(f"{PACKAGE.name}.")
 
 
 def _outdated(task: Task) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import resource
 import sys
@@ -17,6 +18,7 @@ class PeakMemory:
     """Growth of this process's peak resident memory from the construction on."""
 
     def __init__(self) -> None:
+        _give_back()
         # Linux can reset the peak, so that what came before the run does not hide its own.
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
@@ -25,6 +27,12 @@ class PeakMemory:
     def growth_mb(self) -> float:
         """Growth up to now [MB]."""
         return max(0.0, _peak_mb() - self._start)
+
+
+def _give_back() -> None:
+    """Let go of memory that earlier work of this process freed: taken again, it would not show as growth."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _peak_mb() -> float:

@@ -78,6 +78,11 @@ class SharedArrays:
                 found[name] = np.frombuffer(_read(descriptor, size, at), dtype=dtype).reshape(shape).copy()
         return found
 
+    def clear(self) -> None:
+        """Begin anew, for another job of the same process; earlier arrays must not be used any more."""
+        os.ftruncate(self._file.fileno(), 0)
+        self._end, self._directory = DIRECTORY_BYTES, {}
+
     def close(self) -> None:
         """Let go of the file."""
         self._file.close()

@@ -1,6 +1,8 @@
-"""Where jobs run: each in a process of its own, or all in this one.
+"""Where jobs run: in worker processes, or all in this one.
 
-A worker that crashes, hangs or is killed takes its own job with it and nothing else.
+A worker that crashes, hangs or is killed takes its own job with it and nothing else. Jobs of our own
+plug-ins follow one another in a process, those of one stream in one that has it at hand; a user's has
+a process to itself, and so has whatever comes after a job that did not end well.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import signal
 import tempfile
 import time
 import traceback
+from collections.abc import Collection
 from dataclasses import dataclass
 from multiprocessing import connection
 from pathlib import Path
@@ -62,6 +65,8 @@ class Ended:
     """What happened after the result file was written."""
     shared: SharedArrays | None = None
     """What a run had done; to be closed by who gets this."""
+    not_begun: bool = False
+    """A worker that had done other jobs before was gone when this one came to it."""
 
 
 class Executor(Protocol):
@@ -79,39 +84,67 @@ class Executor(Protocol):
     def frames_done(self) -> dict[str, int]:
         """Frames that each running job has done, by its key."""
 
+    def at_hand(self) -> Collection[str]:
+        """Keys of the streams whose runs would begin at once now: a worker without a job holds them."""
+
     def close(self) -> None:
         """End what still runs."""
 
 
 @executors.register("processes")
 class Processes:
-    """Each job in its own process, forked from a server that has the heavy modules loaded."""
+    """Worker processes, forked from a server that has the heavy modules loaded."""
 
     def __init__(self, *, slots: int = 1) -> None:
         self.slots = slots
         self._running: list[_Worker] = []
+        self._idle: list[_Worker] = []
         self._started = 0
         self._temporary: Path | None = None
         refresh()
 
     def start(self, task: Task) -> None:
+        while (worker := self._idle_worker(task)) is not None:
+            if worker.begin(task):
+                self._running.append(worker)
+                return
+        self._start_afresh(task)
+
+    def _start_afresh(self, task: Task) -> None:
+        while self._idle and len(self._running) + len(self._idle) >= self.slots:
+            self._idle.pop(0).end()
         warm_up()
         self._started += 1
         self._running.append(_Worker(task, self._temporary_folder() / str(self._started)))
 
+    def _idle_worker(self, task: Task) -> _Worker | None:
+        """One that can do the job, of several the one that has its stream at hand."""
+        if not task.shares_process or not self._idle:
+            return None
+        wanted = [index for index, worker in enumerate(self._idle) if worker.stream_key == task.stream_key]
+        return self._idle.pop(wanted[0] if wanted else 0)
+
     def wait(self, timeout_s: float) -> list[Ended]:
-        connection.wait([worker.process.sentinel for worker in self._running], timeout_s)
-        ended = [how for how in (worker.look() for worker in self._running) if how is not None]
-        self._running = [worker for worker in self._running if not worker.over]
-        return ended
+        connection.wait([each for worker in self._running for each in worker.signs()], timeout_s)
+        looked = [(worker, worker.look()) for worker in self._running]
+        self._running = [worker for worker, how in looked if how is None]
+        self._idle += [worker for worker, how in looked if how is not None and not worker.over]
+        for _, how in looked:
+            if how is not None and how.not_begun:
+                # Somebody ended a worker between two jobs: the second one has nothing to do with it.
+                self._start_afresh(how.task)
+        return [how for _, how in looked if how is not None and not how.not_begun]
 
     def frames_done(self) -> dict[str, int]:
         return {worker.task.key: int(worker.heartbeat[1]) for worker in self._running}
 
+    def at_hand(self) -> Collection[str]:
+        return {worker.stream_key for worker in self._idle}
+
     def close(self) -> None:
-        for worker in self._running:
+        for worker in [*self._running, *self._idle]:
             worker.end()
-        self._running = []
+        self._running, self._idle = [], []
         if self._temporary is not None:
             shutil.rmtree(self._temporary, ignore_errors=True)
             self._temporary = None
@@ -168,37 +201,71 @@ class Serial:
     def frames_done(self) -> dict[str, int]:
         return {}
 
+    def at_hand(self) -> Collection[str]:
+        return ()
+
     def close(self) -> None:
         self._ended = []
 
 
 class _Worker:
-    """The parent's view of one worker process."""
+    """The parent's view of one worker process, and of the job that it does."""
 
     def __init__(self, task: Task, temporary: Path) -> None:
         context = multiprocessing.get_context("forkserver")
-        self.task = task
         self.heartbeat: Any = context.RawArray("d", BEATS)
-        self._shared = SharedArrays() if task.kind == "run" else None
+        self._shared = SharedArrays()
         self._temporary = temporary
-        self._result_seen: float | None = None
+        self._tasks, tasks = context.Pipe()
+        self._hung_up = False
+        self._jobs = 0
         self.process = context.Process(
-            target=work, args=(task, self.heartbeat, self._shared, temporary), daemon=True
+            target=work, args=(tasks, self.heartbeat, self._shared, temporary), daemon=True
         )
         self.over = False
-        self._begin = time.monotonic()
         try:
             with no_main_module():
                 self.process.start()
         except BaseException:
             self._let_go()
+            self._shared.close()
             raise
+        finally:
+            tasks.close()
         self._pid = self.process.pid or 0
+        self.begin(task)
+
+    def begin(self, task: Task) -> bool:
+        """Hand it a job; False where it is gone, which of a first one :meth:`look` tells."""
+        self.task = task
+        self._result_seen: float | None = None
+        self._begin = time.monotonic()
+        self._jobs += 1
+        self.heartbeat[:] = [0.0] * BEATS
+        try:
+            self._tasks.send(task)
+        except OSError:
+            self._hung_up = True
+            if self._jobs > 1:
+                self.end()
+            return False
+        return True
+
+    @property
+    def stream_key(self) -> str:
+        """Of the stream that it has at hand."""
+        return self.task.key if self.task.kind == "stream" else self.task.stream_key
+
+    def signs(self) -> list[Any]:
+        """What to wait for."""
+        return [self.process.sentinel, *([] if self._hung_up else [self._tasks])]
 
     def look(self) -> Ended | None:
         """How the job ended, or None while it runs; ends it where its time is over."""
         trim(self._log)
         late = ""
+        if self._is_done():
+            return self._done()
         if self.process.exitcode is None:
             late = self._late()
             if not late and not self._lingers():
@@ -213,8 +280,23 @@ class _Worker:
         end_tree(self._pid)
         self.process.join()
         self._let_go()
-        if self._shared is not None:
-            self._shared.close()
+        self._shared.close()
+
+    def _is_done(self) -> bool:
+        """Whether it says that it did its job and can do another."""
+        if self._hung_up:
+            return False
+        try:
+            return self._tasks.poll() and bool(self._tasks.recv())
+        except (EOFError, OSError):
+            self._hung_up = True
+            return False
+
+    def _done(self) -> Ended:
+        frames = int(self.heartbeat[1])
+        if self.task.result.is_file():
+            return Ended(self.task, frames_done=frames)
+        return Ended(self.task, "the worker process did its job and left no result", frames_done=frames)
 
     def _late(self) -> str:
         """Why it has to be ended, or nothing while it is within its limits.
@@ -256,8 +338,7 @@ class _Worker:
         if self.task.result.is_file():
             # The file is put in place as a whole and as the last thing: how the process ended then is a note.
             note = f"afterwards {_death(code)}" if code and not by_us else ""
-            if self._shared is not None:
-                self._shared.close()
+            self._shared.close()
             return Ended(self.task, frames_done=frames, note=note)
         fault, status = f"{_death(code)} and left no result", _status_of(code)
         if late:
@@ -266,6 +347,9 @@ class _Worker:
             status = "missing"
         elif lost_server:
             fault, status = "the server of the worker processes was killed", "killed"
+        not_begun = self._jobs > 1 and not self.heartbeat[0] and status == "killed" and not lost_server
+        if self.task.kind == "stream" or not_begun:
+            self._shared.close()
         return Ended(
             self.task,
             fault,
@@ -273,7 +357,8 @@ class _Worker:
             outdated=reason == OUTDATED,
             storage_failed=reason == STORAGE_FAILED and not late,
             frames_done=frames,
-            shared=self._shared,
+            shared=self._shared if self.task.kind == "run" and not not_begun else None,
+            not_begun=not_begun,
         )
 
     @property
@@ -281,6 +366,7 @@ class _Worker:
         return self.task.log
 
     def _let_go(self) -> None:
+        self._tasks.close()
         shutil.rmtree(self._temporary, ignore_errors=True)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from slamcmp.experiment.executors.processes import Ended, Processes, Serial
 from slamcmp.experiment.job.task import Task
 from slamcmp.registry import SESSION, executors
@@ -29,6 +31,9 @@ class Session:
 
     def frames_done(self) -> dict[str, int]:
         return self._elsewhere.frames_done()
+
+    def at_hand(self) -> Collection[str]:
+        return self._elsewhere.at_hand()
 
     def close(self) -> None:
         self._elsewhere.close()

@@ -102,7 +102,7 @@ def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> Gro
     return replace(truth, outliers=outliers)
 
 
-def store_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
+def store_stream(task: Task, heartbeat: MutableSequence[float]) -> MeasurementStream | None:
     """Make the stream of a stream job and leave it, and what is known about it, in the results folder."""
     with held_to_plan(task) as opened:
         stream, known = _known_stream(task, heartbeat)
@@ -119,6 +119,7 @@ def store_stream(task: Task, heartbeat: MutableSequence[float]) -> None:
         )
         known = replace(known, warnings=(*known.warnings, warning))
     save_truth(replace(known, inputs=inputs(task, opened)), task.result)
+    return stream
 
 
 def _known_stream(

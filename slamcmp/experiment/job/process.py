@@ -14,6 +14,7 @@ import threading
 import traceback
 from collections.abc import Iterator, MutableSequence
 from multiprocessing import util
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -27,27 +28,46 @@ OUTDATED, LOST_STREAM, STORAGE_FAILED = 1, 2, 3
 """Why there is no result, if it is not the back end's doing."""
 
 
-def work(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None, temporary: Path) -> None:
-    """Do one job and end this process."""
+def work(tasks: Connection, heartbeat: MutableSequence[float], shared: SharedArrays, temporary: Path) -> None:
+    """Do the jobs that come through the connection, and end this process.
+
+    It says True there after each job that left it as good as new; after any other one it is gone.
+    """
     # Ctrl-C reaches the whole process group; the parent decides what ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     lead_group()
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+    _use_temporary_folder(temporary)
+    code = 0
+    with contextlib.suppress(EOFError, OSError):
+        while code == 0:
+            task: Task = tasks.recv()
+            code, as_good_as_new = _do(task, heartbeat, shared)
+            if not (as_good_as_new and task.shares_process):
+                break
+            shared.clear()
+            tasks.send(True)
+    with contextlib.suppress(Exception):
+        end_children()
+    getattr(util, "_run_finalizers", lambda _: None)(0)
+    # At once: a thread that was left behind has nobody to work for.
+    os._exit(code)
+
+
+def _do(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays) -> tuple[int, bool]:
+    """One job: the exit code that it asks for, and whether this process is as good as new after it."""
     from slamcmp.errors import StorageError
     from slamcmp.experiment.job.planned import OutdatedError
     from slamcmp.experiment.job.worker import LostStreamError, perform
     from slamcmp.support.memory import limit_growth
 
-    code = 1
     with _output_to_log(task):
-        _use_temporary_folder(temporary)
         if task.memory_limit_mb is not None:
             limit_growth(task.memory_limit_mb)
         try:
-            perform(task, heartbeat, shared)
-            code = 0
+            return 0, perform(task, heartbeat, shared if task.kind == "run" else None)
         except OutdatedError as error:
             heartbeat[4] = OUTDATED
             print(f"not what was planned: {error}", file=sys.stderr)
@@ -63,11 +83,7 @@ def work(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | N
             # Here, while standard error still leads to the log, unless the plug-in closed it.
             with contextlib.suppress(OSError):
                 traceback.print_exc()
-    with contextlib.suppress(Exception):
-        end_children()
-    getattr(util, "_run_finalizers", lambda _: None)(0)
-    # At once: a thread that was left behind has nobody to work for.
-    os._exit(code)
+    return 1, False
 
 
 def _is_of_this_process(error: BaseException) -> bool:

@@ -44,6 +44,8 @@ class Task:
     """Whether to note which other files are read: plug-ins of users do not declare them all."""
     declared: bool = False
     """Whether a user's plug-in says which files it reads: its author vouches for what nobody sees."""
+    shares_process: bool = False
+    """Whether other such jobs may run before and after it in one process: all its plug-ins are our own."""
 
     @property
     def result(self) -> Path:

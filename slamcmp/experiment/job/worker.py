@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Mapping, MutableSequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from slamcmp.backends.own_gate import OwnGate
@@ -23,6 +24,7 @@ from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends
 from slamcmp.results.runs.posteriors import save_posteriors
 from slamcmp.results.runs.run_file import StoredRun, load_truth, save_run, truth_digest
+from slamcmp.support.code_version import stamp
 from slamcmp.support.messages import describe, told
 from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.support.shared_arrays import SharedArrays
@@ -33,8 +35,10 @@ class LostStreamError(Exception):
     """The file of the stream that a run is to be fed from is gone, or not what it was."""
 
 
-def perform(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None = None) -> None:
+def perform(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None = None) -> bool:
     """Do one job; ``shared`` keeps what a run has done in case this process does not come to its end.
+
+    Answers whether all went well, so that this process is as good as new.
 
     Raises:
         StorageError: the result cannot be written.
@@ -47,16 +51,48 @@ def perform(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays 
         cv2.setNumThreads(1)
     if task.kind == "stream":
         heartbeat[0] = time.monotonic()
-        store_stream(task, heartbeat)
-    else:
-        _run(task, heartbeat, shared)
+        stream = store_stream(task, heartbeat)
+        if stream is not None and task.shares_process:
+            AT_HAND.keep(stream, stream_path(task.folder, stream.digest))
+        return stream is not None
+    return _run(task, heartbeat, shared) == "ok"
 
 
-def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None) -> None:
+class StreamAtHand:
+    """The last stream of a process that does several jobs, as long as its file is what it was."""
+
+    def __init__(self) -> None:
+        self._stream: MeasurementStream | None = None
+        self._file: Path | None = None
+        self._stamp: tuple[int, ...] = ()
+
+    def keep(self, stream: MeasurementStream, file: Path) -> None:
+        """Remember a stream that was just written to a file or read from it."""
+        with contextlib.suppress(OSError):
+            self._stream, self._file, self._stamp = stream, file, stamp(file)
+
+    def load(self, file: Path) -> MeasurementStream:
+        """The stream of that file.
+
+        Raises:
+            SlamcmpError: it is gone, or damaged.
+        """
+        with contextlib.suppress(OSError):
+            if self._stream is not None and self._file == file and self._stamp == stamp(file):
+                return self._stream
+        stream = load_stream(file)
+        self.keep(stream, file)
+        return stream
+
+
+AT_HAND = StreamAtHand()
+
+
+def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | None) -> Status:
     with held_to_plan(task) as opened:
         file = stream_path(task.folder, task.digest)
         try:
-            stream = load_stream(file)
+            stream = AT_HAND.load(file) if task.shares_process else load_stream(file)
         except SlamcmpError as error:
             # A damaged one too: the same command then makes it again.
             with contextlib.suppress(OSError):
@@ -92,6 +128,7 @@ def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | N
         save_posteriors(recorder.posteriors, posteriors_path(task.folder, task.key))
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
     save_run(replace(scored(run, _truth(task)), inputs=inputs(task, opened)), task.result)
+    return run.status
 
 
 def scored(run: Run, truth: GroundTruth | None) -> StoredRun:

@@ -26,6 +26,11 @@ class StreamJob:
     data: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     """What each declared data file looked like when it was hashed."""
 
+    @property
+    def stream_key(self) -> str:
+        """Of the stream that it waits for: none."""
+        return ""
+
 
 @dataclass(frozen=True, slots=True)
 class RunJob:
