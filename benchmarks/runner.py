@@ -114,7 +114,7 @@ def two_workers(rounds: int) -> dict[str, float]:
         experiment = load_experiment(path)
         # The server loads its modules once a session; wait for it with a first, unmeasured run.
         warm_up()
-        run_experiment(experiment, folder=Path(folder) / "first", jobs=2, seeds=[0])
+        run_experiment(experiment, folder=Path(folder) / "first", jobs=2, seeds=[0], cache=False)
         for index in range(rounds):
             for name, options in (
                 ("serial", {"executor": "serial"}),
@@ -122,7 +122,8 @@ def two_workers(rounds: int) -> dict[str, float]:
                 ("two workers", {"jobs": 2}),
             ):
                 begin = time.perf_counter()
-                run_experiment(experiment, folder=Path(folder) / f"{name}{index}", **options)  # type: ignore[arg-type]
+                place = Path(folder) / f"{name}{index}"
+                run_experiment(experiment, folder=place, cache=False, **options)  # type: ignore[arg-type]
                 seconds[name].append(time.perf_counter() - begin)
     return {name: float(np.median(each)) for name, each in seconds.items()}
 

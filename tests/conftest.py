@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ from typing import Any
 import pytest
 
 from slamcmp.backends.filters import loops
+
+# What a test computes is its own: nothing comes from, or goes to, the cache that experiments share.
+os.environ["SLAMCMP_CACHE"] = "off"
 
 PLUGINS = Path(__file__).with_name("user_plugins.py")
 

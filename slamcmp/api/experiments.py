@@ -34,6 +34,7 @@ def run(
     rerun_failed: bool = False,
     executor: str | None = None,
     progress: bool | None = None,
+    cache: bool = True,
 ) -> Results:
     """Run an experiment, or what is left of it.
 
@@ -66,6 +67,8 @@ def run(
         rerun_failed: also run again what did not end well.
         executor: where jobs run; default ``processes``, with a class of this process ``session``.
         progress: show a line or a bar for each job; default: on a terminal and in a notebook.
+        cache: take results of equal key from the cache that all experiments share (``slamcmp cache info``),
+            with the times that they took then, and keep new ones there.
 
     Raises:
         UsageError: the experiment cannot be used; every mistake is told with its place.
@@ -112,6 +115,7 @@ def run(
                 executor=executor or (SESSION if own else "processes"),
                 progress=shown,
                 command="slamcmp.run",
+                cache=cache,
             )
         finally:
             # Nobody can ever ask for these again: their keys belong to this call.

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp.cli import advise, check, frontend, run, seeds, show, stream
+from slamcmp.cli import advise, cache, check, frontend, run, seeds, show, stream
 from slamcmp.cli.data import commands as data
 from slamcmp.cli.data import noise
 from slamcmp.cli.grading import assignment, grade, grade_all, regrade
@@ -41,6 +41,7 @@ for _commands in (
     papers,
     show,
     stream,
+    cache,
     trajectories,
     data,
     noise,

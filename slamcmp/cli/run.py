@@ -55,6 +55,9 @@ def run(
     executor: Annotated[str, typer.Option(help="Where jobs run: processes or serial.")] = "processes",
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
     columns: Annotated[str | None, typer.Option(help=COLUMNS_HELP)] = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Take nothing from the shared cache, and keep nothing there.")
+    ] = False,
     open_page: Annotated[
         bool, typer.Option("--open", help="Show the report in the browser when it is written.")
     ] = False,
@@ -64,8 +67,10 @@ def run(
     With published numbers in the file they stand beside the measured ones, with a verdict. The exit code is 1
     where a run failed, whatever the verdict is.
 
-    Results are reused while code, data and settings are the same. A plug-in of your own that may have read
-    files through a library in C is run anew each time, unless it declares them: register(..., files=[...]).
+    Results are reused while code, data and settings are the same, also those of other experiments and
+    results folders (slamcmp cache info); --no-cache in a new folder measures times anew. A plug-in of your
+    own that may have read files through a library in C is run anew each time, unless it declares them:
+    register(..., files=[...]).
     """
     from slamcmp.experiment.executors.fork_server import warm_up
 
@@ -77,6 +82,7 @@ def run(
     from slamcmp.experiment.gathering.manifest import folder_for_seeds
     from slamcmp.experiment.planning.plan import plan_experiment
     from slamcmp.experiment.runner import Interrupted, run_experiment
+    from slamcmp.experiment.shared_cache import shared_cache
     from slamcmp.support.interruption import ignore_further
 
     if open_page and no_report:
@@ -93,7 +99,8 @@ def run(
         plan = plan_experiment(
             experiment if seeds is None else experiment.with_seeds(seeds), folder, rerun_failed=rerun_failed
         )
-        _print_plan(plan, folder, as_json)
+        cache = None if no_cache else shared_cache()
+        _print_plan(plan, folder, 0 if cache is None else cache.offers(plan.runs), as_json)
         return
     interruption: Interrupted | None = None
     try:
@@ -106,6 +113,7 @@ def run(
             executor=executor,
             progress=not (as_json or is_quiet()),
             command=" ".join(["slamcmp", *sys.argv[1:]]),
+            cache=not no_cache,
         )
     except Interrupted as error:
         # A further Ctrl-C would cost the table and the message.
@@ -123,6 +131,12 @@ def run(
     failed = found.trials[found.trials["status"] != "ok"]
     verdict, missing = judge(found), missing_runs(found)
     if not as_json:
+        if found.manifest["jobs_from_cache"] and not is_quiet():
+            print(
+                f"{found.manifest['jobs_from_cache']} runs are from the shared cache, with the times that "
+                "they took then (slamcmp cache info; --no-cache does without)",
+                file=sys.stderr,
+            )
         _print_results(found, summary, failed)
         if verdict is not None:
             _print_verdict(verdict)
@@ -257,7 +271,7 @@ def _cell(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
+def _print_plan(plan: Plan, folder: Path, in_cache: int, as_json: bool) -> None:
     if as_json:
         print(
             json.dumps(
@@ -267,6 +281,7 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
                     "streams_to_make": sorted(plan.streams),
                     "runs_to_do": sorted(plan.runs),
                     "runs_reused": plan.reused,
+                    "runs_in_cache": in_cache,
                 }
             )
         )
@@ -276,8 +291,9 @@ def _print_plan(plan: Plan, folder: Path, as_json: bool) -> None:
         seed = [] if trial.seed is None else [f"seed={trial.seed}"]
         jobs = [f"{job.back_end.label}{'' if job.key in plan.runs else ' (done)'}" for job in trial.runs]
         print(f"trial {trial.number}: {' '.join([*swept, *seed])}: {', '.join(jobs)}".replace(": :", ":"))
+    known = f" ({in_cache} of them are in the shared cache)" if in_cache else ""
     print(
-        f"{len(plan.trials)} trials; to do: {len(plan.streams)} streams, {len(plan.runs)} runs; "
+        f"{len(plan.trials)} trials; to do: {len(plan.streams)} streams, {len(plan.runs)} runs{known}; "
         f"reused: {plan.reused} runs; results: {folder}"
     )
 

@@ -19,8 +19,9 @@ from slamcmp.experiment.job.fault import OUTSIDE, Fault
 from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.planning.plan import Plan, plan_experiment
 from slamcmp.experiment.planning.samples import names_of
-from slamcmp.experiment.planning.trials import Trial
+from slamcmp.experiment.planning.trials import Trial, make_trials
 from slamcmp.experiment.schedule import Schedule
+from slamcmp.experiment.shared_cache import SharedCache, shared_cache
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.registry import executors
 from slamcmp.results.runs.run_file import load_truth
@@ -55,6 +56,7 @@ def run_experiment(
     executor: str = "processes",
     progress: bool = False,
     command: str = "",
+    cache: bool = True,
 ) -> Results:
     """Run what has no result yet, and gather all results into tables in ``folder``.
 
@@ -67,6 +69,7 @@ def run_experiment(
         executor: registered name of where jobs run.
         progress: show progress on standard error.
         command: for the manifest.
+        cache: take results of equal key from the shared cache (shared_cache.py), and keep new ones there.
 
     Returns:
         The tables and the manifest, as they were saved.
@@ -91,7 +94,7 @@ def run_experiment(
     place = executors.get(executor)
     workers: Executor = place.target(slots=slots)
     prepare(back_end.plugin().target for back_end in experiment.back_ends)
-    rounds = _Rounds()
+    rounds = _Rounds(shared_cache() if cache else None)
     with locked(folder), interruptions(raising=bool(place.traits.get("in_process", False))) as stop:
         require_same_experiment(experiment, folder)
         remove_left_behind(folder, folder / "runs", folder / "streams")
@@ -118,6 +121,7 @@ def run_experiment(
             "jobs": workers.slots,
             "jobs_run": rounds.done,
             "jobs_reused": rounds.plan.reused - rounds.again,
+            "jobs_from_cache": rounds.from_cache,
             "jobs_missing": len(rounds.pending) + again,
             **names_of(rounds.plan.trials),
             **about_streams,
@@ -145,7 +149,10 @@ def available_cores() -> int:
 class _Rounds:
     """One round of jobs; with ``until``, more rounds of more seeds until the answer is precise enough."""
 
-    def __init__(self) -> None:
+    def __init__(self, cache: SharedCache | None) -> None:
+        self._cache = cache
+        self.from_cache = 0
+        """Runs whose results another folder's experiment had computed."""
         self.plan = Plan([])
         """Of the last round; its trials are those of all rounds."""
         self.stream_faults: dict[str, Fault] = {}
@@ -177,8 +184,16 @@ class _Rounds:
         values = None if rule is None else MetricValues(folder, rule.metric, experiment.reference)
         labels = [choice.label for choice in experiment.back_ends]
         while True:
-            plan = plan_experiment(experiment, folder, rerun_failed=rerun_failed, tried=self._tried)
+            trials = make_trials(experiment)
+            brought: set[str] = set()
+            if self._cache is not None:
+                brought = self._cache.bring(trials, folder)
+            plan = plan_experiment(
+                experiment, folder, rerun_failed=rerun_failed, tried=self._tried, trials=trials
+            )
             self.plan = plan
+            # Not those that read what has changed meanwhile.
+            self.from_cache += len(brought - plan.runs.keys())
             todo = len(plan.runs) + len(plan.streams)
             self._tried |= {*plan.runs, *plan.streams}
             with watching(todo, show=progress) as watcher:
@@ -190,6 +205,9 @@ class _Rounds:
             self.stream_faults |= schedule.stream_faults
             self.lost |= schedule.lost
             self.pending = schedule.pending
+            if self._cache is not None:
+                undone = schedule.pending | schedule.lost.keys()
+                self._cache.keep(plan.streams.keys() - undone, plan.runs.keys() - undone, folder)
             self.fatal = schedule.fatal
             self.done += schedule.done
             self.again += schedule.again

@@ -36,9 +36,13 @@ def plan_experiment(
     *,
     rerun_failed: bool = False,
     tried: Collection[str] = (),
+    trials: list[Trial] | None = None,
 ) -> Plan:
-    """Find out what is left to do, without doing it; the jobs whose keys are in ``tried`` are settled."""
-    plan = Plan(make_trials(experiment))
+    """Find out what is left to do, without doing it; the jobs whose keys are in ``tried`` are settled.
+
+    ``trials`` are the experiment's, where they are known already.
+    """
+    plan = Plan(make_trials(experiment) if trials is None else trials)
     seen: set[str] = set(tried)
     streams_there, runs_there = _names(folder / "streams"), _names(folder / "runs")
     for trial in plan.trials:
