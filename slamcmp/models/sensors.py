@@ -20,7 +20,7 @@ from typing import cast
 
 import numpy as np
 
-from slamcmp.errors import DataError
+from slamcmp.errors import DataError, UsageError
 from slamcmp.geometry import hat, transform
 from slamcmp.registry import sensors
 from slamcmp.types import FloatArray, SensorModel
@@ -147,6 +147,85 @@ class RangeBearing:
         # Exact for an innovation that needs no wrapping, and a third of the time of the modulo.
         y[..., 1] -= _TURN * np.rint(y[..., 1] * (1.0 / _TURN))
         return y
+
+
+class _PartOfRangeBearing:
+    """One of the two components of :class:`RangeBearing`: a single sighting leaves the landmark on a line."""
+
+    name: str
+    space_dim = 2
+    dim = 1
+    components: tuple[str, ...]
+    component: int
+    """Which one it measures: 0 the range, 1 the bearing."""
+    invertible = False
+    _whole = RangeBearing()
+
+    @property
+    def entry_sensor(self) -> RangeBearing:
+        """Range and bearing: what several sightings have settled on together."""
+        return self._whole
+
+    def parameters(self) -> Mapping[str, float]:
+        return {}
+
+    def predict(self, T_world_body: FloatArray, landmark: FloatArray) -> FloatArray:
+        return self._whole.predict(T_world_body, landmark)[..., self._rows]
+
+    def invert(self, T_world_body: FloatArray, z: FloatArray) -> FloatArray:  # noqa: ARG002
+        """Not possible.
+
+        Raises:
+            UsageError: always.
+        """
+        raise UsageError(
+            f"{self.name}: one measurement does not place a landmark; it has to be seen from several places: "
+            "front end 'delayed_start' waits for that"
+        )
+
+    def jacobians(self, T_world_body: FloatArray, landmark: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return self.linearise(T_world_body, landmark)[1:]
+
+    def linearise(
+        self, T_world_body: FloatArray, landmark: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        z, H_pose, H_land = self._whole.linearise(T_world_body, landmark)
+        return z[..., self._rows], H_pose[..., self._rows, :], H_land[..., self._rows, :]
+
+    @property
+    def _rows(self) -> slice:
+        return slice(self.component, self.component + 1)
+
+
+@sensors.register("range_only")
+class RangeOnly(_PartOfRangeBearing):
+    """Range [m] of a landmark in the plane, as of a radio beacon: a sighting leaves a ring.
+
+    It has no derivative at range 0; the results there are not finite.
+    """
+
+    name = "range_only"
+    components = ("range_m",)
+    component = 0
+
+    def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
+        return z - z_predicted
+
+
+@sensors.register("bearing_only")
+class BearingOnly(_PartOfRangeBearing):
+    """Bearing [rad, from the body's x axis, counter-clockwise] of a landmark in the plane: a ray.
+
+    It has no derivative at range 0; the results there are not finite.
+    """
+
+    name = "bearing_only"
+    components = ("bearing_rad",)
+    component = 1
+
+    def residual(self, z: FloatArray, z_predicted: FloatArray) -> FloatArray:
+        y = z - z_predicted
+        return y - _TURN * np.rint(y * (1.0 / _TURN))
 
 
 def cartesian_to_polar(z: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:

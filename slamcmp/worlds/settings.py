@@ -17,7 +17,7 @@ Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Share = Annotated[float, Interval(ge=0, le=1)]
 
-SensorName = Literal["range_bearing", "relative_position"]
+SensorName = Literal["range_bearing", "relative_position", "range_only", "bearing_only"]
 OdometryName = Literal["unicycle", "straight_then_turn", "bicycle", "encoders"]
 
 
@@ -40,6 +40,7 @@ class Settings:
     """Turn rate in bends: with the speed it sets their radius."""
 
     sensor: SensorName = "range_bearing"
+    """Of ``range_only`` and ``bearing_only`` one sighting places no landmark: front end ``delayed_start``."""
     range_sigma_m: Positive = 0.1
     bearing_sigma_deg: Positive = 1.0
     position_sigma_m: Positive = 0.1

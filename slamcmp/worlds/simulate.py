@@ -23,6 +23,10 @@ from slamcmp.worlds.outliers import OutlierDraws
 from slamcmp.worlds.settings import Settings
 
 
+_POLAR_COLUMNS = {"range_bearing": [0, 1], "range_only": [0], "bearing_only": [1]}
+"""Which of range and bearing a sensor reports: each draws the same noise, whether the other is there or not."""
+
+
 @dataclass(frozen=True)
 class World:
     """What a planar world decides: the true motion and where the landmarks stand."""
@@ -163,14 +167,15 @@ def _detect(
 ) -> tuple[list[Detections], list[BoolArray]]:
     """Detections of every frame, and which of them are outliers."""
     polar = make_sensor("range_bearing", {})
-    is_polar = settings.sensor == "range_bearing"
+    is_polar = settings.sensor in _POLAR_COLUMNS
     half_view = math.radians(settings.field_of_view_deg) / 2
     if is_polar:
         sigmas = np.array([settings.range_sigma_m, math.radians(settings.bearing_sigma_deg)])
     else:
         sigmas = np.array([settings.position_sigma_m] * 2)
     sigmas = settings.noise_scale * sigmas
-    covariance = np.diag(sigmas**2)
+    columns = _POLAR_COLUMNS.get(settings.sensor, [0, 1])
+    covariance = np.diag(sigmas[columns] ** 2)
     low = np.array([settings.range_min_m, -half_view])
     high = np.array([settings.range_max_m, half_view])
     of_all = (len(poses), len(landmarks))
@@ -198,11 +203,11 @@ def _detect(
     if is_polar:
         readings[..., 1] = wrap(readings[..., 1])
         # A sensor cannot report a range below zero; noise may ask for one very close by.
-        seen &= readings[..., 0] > 0
+        seen &= (readings[..., 0] > 0) | (0 not in columns)
     frames, ids = np.nonzero(seen)
     sizes = np.bincount(frames, minlength=len(poses))
     R = np.tile(covariance, (ids.size, 1, 1))
-    return detections_of(sizes, readings[seen], R, ids), list(parts(spoilt[seen], sizes))
+    return detections_of(sizes, readings[seen][:, columns], R, ids), list(parts(spoilt[seen], sizes))
 
 
 def _misfortunes(

@@ -23,7 +23,7 @@ from gtsam import noiseModel
 from slamcmp.backends.entries import Entries, derivatives, errors
 from slamcmp.errors import UsageError
 from slamcmp.models.camera import Camera, MonoCamera, StereoCamera
-from slamcmp.models.sensors import RangeBearing, RelativePosition
+from slamcmp.models.sensors import BearingOnly, RangeBearing, RangeOnly, RelativePosition
 from slamcmp.types import TANGENT_DIM, FloatArray, Frame, SensorModel
 
 _POSE_KEYS = gtsam.symbol("x", 0)
@@ -97,6 +97,10 @@ def observation_factors(sensor: SensorModel, wrap: Callable[[Any], Any]) -> Obse
     """The fastest exact factors for the sensor; ``wrap`` makes a Gaussian noise model robust."""
     if isinstance(sensor, RangeBearing):
         return _RangeBearingFactors(wrap)
+    if isinstance(sensor, RangeOnly):
+        return _RangeFactors(wrap)
+    if isinstance(sensor, BearingOnly):
+        return _BearingFactors(wrap)
     if isinstance(sensor, RelativePosition):
         return _RelativePositionFactors(sensor, wrap)
     if isinstance(sensor, MonoCamera):
@@ -138,6 +142,31 @@ class _RangeBearingFactors(_PointLandmarks):
             yield gtsam.BearingRangeFactor2D(
                 key, _LANDMARK_KEYS + landmark_id, gtsam.Rot2(bearing), r, noise(R)
             )
+
+
+class _RangeFactors(_PointLandmarks):
+    """The built-in planar factor of a range."""
+
+    def __init__(self, wrap: Callable[[Any], Any]) -> None:
+        super().__init__(2)
+        self._noise = NoiseCache(lambda R: wrap(noiseModel.Gaussian.Covariance(R)))
+
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
+        for landmark_id, (r,), R in zip(sights.ids.tolist(), sights.z.tolist(), sights.R, strict=True):
+            yield gtsam.RangeFactor2D(key, _LANDMARK_KEYS + landmark_id, r, self._noise(R))
+
+
+class _BearingFactors(_PointLandmarks):
+    """The built-in planar factor of a bearing."""
+
+    def __init__(self, wrap: Callable[[Any], Any]) -> None:
+        super().__init__(2)
+        self._noise = NoiseCache(lambda R: wrap(noiseModel.Gaussian.Covariance(R)))
+
+    def factors(self, key: int, sights: Sights) -> Iterator[Any]:
+        for landmark_id, (bearing,), R in zip(sights.ids.tolist(), sights.z.tolist(), sights.R, strict=True):
+            rotation = gtsam.Rot2(bearing)
+            yield gtsam.BearingFactor2D(key, _LANDMARK_KEYS + landmark_id, rotation, self._noise(R))
 
 
 class _RelativePositionFactors:
