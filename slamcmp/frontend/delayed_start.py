@@ -1,9 +1,9 @@
 """The planar front end for sensors that do not place a landmark by one sighting: ranges, or bearings, alone.
 
-Whose landmark a detection is of the log's labels tell; where it is nobody knows before it was seen from
-several places. So each landmark waits here, as several hypotheses (landmark_hypotheses.py), until one of them
-has won and is narrow. At that frame it enters the stream, as an *entry*: range and bearing of the winner, with
-its covariance. From the next frame on its sightings are measurements like any other.
+Which landmark was detected the log's labels tell; where it is nobody knows before it was seen from several
+places. So each landmark waits here, as several hypotheses (landmark_hypotheses.py), until one of them has
+won and is narrow. At that frame it enters the stream, as an *entry*: range and bearing of the winner, with
+their covariance. From the next frame on its sightings are measurements like any other.
 
 This is decided once, here, and not by a back end: filters and smoothers get the same entry at the same
 frame, and start from it. What was seen of a landmark before it entered is in its entry and nowhere else; a
@@ -240,9 +240,9 @@ class _Waiting:
         named = ", ".join(str(landmark) for landmark in never[:MOST_NAMED])
         more = f" and {len(never) - MOST_NAMED} more" if len(never) > MOST_NAMED else ""
         return (
-            f"{log_name}: {len(never)} of {len(self._sightings)} landmarks never entered the map ({named}{more}): "
-            f"no place explains their {self._measured}s alone and well enough. A straight course cannot tell its "
-            "two sides by ranges, and a short one no distance by bearings",
+            f"{log_name}: {len(never)} of {len(self._sightings)} landmarks never entered the map "
+            f"({named}{more}): no place explains their {self._measured}s alone and well enough. A straight "
+            "course cannot tell its two sides by ranges, and a short one no distance by bearings",
         )
 
     def _start(self, landmark: int, z: float, variance: float) -> None:

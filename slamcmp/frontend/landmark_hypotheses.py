@@ -69,7 +69,7 @@ class Winner(NamedTuple):
 
     @property
     def spread(self) -> float:
-        """Largest sigma of its position as a share of its distance; infinite where its range is not positive."""
+        """Largest sigma of its position as a share of its distance; infinite for a range below 0."""
         r = float(self.z[0])
         if r <= 0:
             return math.inf

@@ -22,9 +22,8 @@ from slamcmp.types.log import detections_of
 from slamcmp.worlds.outliers import OutlierDraws
 from slamcmp.worlds.settings import Settings
 
-
 _POLAR_COLUMNS = {"range_bearing": [0, 1], "range_only": [0], "bearing_only": [1]}
-"""Which of range and bearing a sensor reports: each draws the same noise, whether the other is there or not."""
+"""Which of range and bearing a sensor reports; the noise that is drawn is the same."""
 
 
 @dataclass(frozen=True)

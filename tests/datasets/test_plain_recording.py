@@ -195,6 +195,27 @@ def test_missing_files_and_sigmas(files):
         logged(files, range_sigma_m=None)
 
 
+@pytest.mark.parametrize(
+    ("sensor", "column", "other"), [("range_only", 0, "bearing"), ("bearing_only", 1, "range")]
+)
+def test_a_range_or_a_bearing_alone_where_it_is_said_to_be_all(tmp_path, files, sensor, column, other):
+    whole = logged(files)
+    titles, *rows = files["detections"].read_text().splitlines()
+    kept = [k for k, title in enumerate(titles.split(",")) if not title.startswith(other)]
+    lines = [",".join(row.split(",")[k] for k in kept) for row in (titles, *rows)]
+    (tmp_path / "part.csv").write_text("\n".join(lines) + "\n")
+    part = logged({**files, "detections": tmp_path / "part.csv"}, sensor=sensor)
+    assert part.problem.sensor.name == sensor
+    for ours, both in zip(part.detections, whole.detections, strict=True):
+        np.testing.assert_array_equal(ours.z, both.z[:, [column]])
+        np.testing.assert_array_equal(ours.R[:, 0, 0], both.R[:, column, column])
+    with pytest.raises(DataError, match=rf"say sensor: {sensor} if it is all"):
+        logged({**files, "detections": tmp_path / "part.csv"})
+    wrong = "bearing_only" if sensor == "range_only" else "range_only"
+    with pytest.raises(DataError, match=rf"detections of sensor {wrong} have t, id and"):
+        logged({**files, "detections": tmp_path / "part.csv"}, sensor=wrong)
+
+
 # ---- data check ----
 
 

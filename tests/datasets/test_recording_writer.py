@@ -34,8 +34,9 @@ def a_log(sensor: str = "range_bearing", seed: int = 0, *, own_ids=None) -> Log:
     detections = []
     for _ in range(K):
         m = int(rng.integers(0, 4))
-        z = rng.uniform(0.5, 3.0, (m, 2))
-        R = rng.uniform(0.01, 0.2, (m, 2))[:, :, None] ** 2 * np.eye(2)
+        d = make_sensor(sensor, {}).dim
+        z = rng.uniform(0.5, 3.0, (m, d))
+        R = rng.uniform(0.01, 0.2, (m, d))[:, :, None] ** 2 * np.eye(d)
         detections.append(Detections(z, R, rng.permutation(np.array([-1, 0, 1, 2]))[:m]))
     t = np.cumsum(rng.uniform(0.05, 0.4, K))
     model = make_sensor(sensor, {"space_dim": 2} if sensor == "relative_position" else {})
@@ -71,7 +72,7 @@ def same(one: Log, other: Log) -> None:
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
-@pytest.mark.parametrize("sensor", ["range_bearing", "relative_position"])
+@pytest.mark.parametrize("sensor", ["range_bearing", "relative_position", "range_only", "bearing_only"])
 def test_a_log_reads_back(tmp_path, sensor, kind, monkeypatch):
     monkeypatch.chdir(tmp_path)
     log = a_log(sensor)
@@ -145,7 +146,9 @@ def test_what_the_files_cannot_hold(tmp_path):
     crossed = [replace(each, R=each.R + 1e-5) for each in log.detections]
     with pytest.raises(DataError, match="the noise of a detection is correlated"):
         write_recording(replace(log, detections=tuple(crossed)), tmp_path)
-    with pytest.raises(UsageError, match="planar logs of range_bearing or relative_position, not of"):
+    with pytest.raises(
+        UsageError, match="planar logs of range_bearing, relative_position, range_only, bearing_only, not of"
+    ):
         write_recording(_spatial(), tmp_path)
 
 

@@ -11,14 +11,18 @@ import pytest
 from slamcmp import geometry as g
 from slamcmp.errors import DataError, UsageError
 from slamcmp.models.sensors import (
+    BearingOnly,
     RangeBearing,
+    RangeOnly,
     RelativePosition,
     cartesian_to_polar,
     make_sensor,
 )
 
-SENSORS = [RangeBearing(), RelativePosition(), RelativePosition(space_dim=3)]
-IDS = ["range_bearing", "relative_position_2d", "relative_position_3d"]
+PLACING = [RangeBearing(), RelativePosition(), RelativePosition(space_dim=3)]
+PLACING_IDS = ["range_bearing", "relative_position_2d", "relative_position_3d"]
+SENSORS = [*PLACING, RangeOnly(), BearingOnly()]
+IDS = [*PLACING_IDS, "range_only", "bearing_only"]
 
 
 def scenes(sensor, count=20, seed=11):
@@ -58,7 +62,7 @@ def test_jacobians_equal_central_differences(sensor):
         np.testing.assert_allclose(H_landmark, by_landmark, rtol=0, atol=2e-8)
 
 
-@pytest.mark.parametrize("sensor", SENSORS, ids=IDS)
+@pytest.mark.parametrize("sensor", PLACING, ids=PLACING_IDS)
 def test_invert_undoes_predict(sensor):
     for T, landmark in scenes(sensor):
         np.testing.assert_allclose(
@@ -72,7 +76,7 @@ def test_batches_give_what_single_landmarks_give(sensor):
     landmarks = np.random.default_rng(2).uniform(-9, 9, (7, sensor.space_dim))
     z = sensor.predict(T, landmarks)
     H_pose, H_landmark = sensor.jacobians(T, landmarks)
-    places = sensor.invert(T, z)
+    places = sensor.invert(T, z) if sensor in PLACING else landmarks
     for i, landmark in enumerate(landmarks):
         np.testing.assert_allclose(z[i], sensor.predict(T, landmark), rtol=0, atol=1e-14)
         one = sensor.jacobians(T, landmark)
@@ -108,6 +112,42 @@ def test_range_bearing_equals_the_linearised_gtsam_factor():
         theirs = A if order[0] == 0 else np.hstack([A[:, 2:], A[:, :2]])
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
         np.testing.assert_allclose(residual[::-1] / sigmas, b, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("sensor", [RangeOnly(), BearingOnly()], ids=lambda sensor: sensor.name)
+def test_a_part_of_range_and_bearing_is_that_row_of_it_and_the_linearised_gtsam_factor(sensor):
+    whole, noise = RangeBearing(), gtsam.noiseModel.Isotropic.Sigma(1, 0.3)
+    row = slice(sensor.component, sensor.component + 1)
+    for T, landmark in scenes(sensor):
+        np.testing.assert_array_equal(sensor.predict(T, landmark), whole.predict(T, landmark)[row])
+        z = sensor.predict(T, landmark) + 0.07
+        values = gtsam.Values()
+        values.insert(0, gtsam.Pose2(*g.se2_coordinates(T)))
+        values.insert(1, landmark)
+        factor = (
+            gtsam.RangeFactor2D(0, 1, z[0], noise)
+            if sensor.name == "range_only"
+            else gtsam.BearingFactor2D(0, 1, gtsam.Rot2(z[0]), noise)
+        )
+        linear = factor.linearize(values)
+        A, b = linear.jacobian()
+        theirs = A if linear.keys()[0] == 0 else np.hstack([A[:, 2:], A[:, :2]])
+        np.testing.assert_allclose(np.hstack(sensor.jacobians(T, landmark)) / 0.3, theirs, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            sensor.residual(z, sensor.predict(T, landmark)) / 0.3, b, rtol=0, atol=1e-9
+        )
+
+
+@pytest.mark.parametrize("sensor", [RangeOnly(), BearingOnly()], ids=lambda sensor: sensor.name)
+def test_a_part_places_no_landmark_and_says_who_waits_for_more(sensor):
+    with pytest.raises(UsageError, match=rf"{sensor.name}: one measurement does not .*'delayed_start'"):
+        sensor.invert(np.eye(3), np.array([1.0]))
+    assert make_sensor(sensor.name, sensor.parameters()).components == sensor.components
+
+
+def test_bearings_wrap():
+    z = BearingOnly().residual(np.array([math.pi - 0.1]), np.array([-math.pi + 0.1]))
+    np.testing.assert_allclose(z, [-0.2], rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("n", [2, 3])

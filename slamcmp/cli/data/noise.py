@@ -18,6 +18,8 @@ SENSORS: dict[tuple[str, str], dict[str, tuple[tuple[str, ...], tuple[int, ...]]
         "range": (("range_sigma_m",), (0,)),
         "bearing": (("bearing_sigma_rad",), (1,)),
     },
+    ("recording", "range_only"): {"range": (("range_sigma_m",), (0,))},
+    ("recording", "bearing_only"): {"bearing": (("bearing_sigma_rad",), (0,))},
     ("recording", "relative_position"): {"position": (("position_sigma_m",), (0, 1))},
     ("mrclam", "range_bearing"): {
         "range": (("range_sigma_m", "range_sigma_per_m"), (0,)),
@@ -62,6 +64,7 @@ def fit(
     """
     import numpy as np
 
+    from slamcmp.frontend.delayed_start import delayed_start
     from slamcmp.frontend.labelled import labelled
     from slamcmp.metrics.noise_fit import fit_noise
     from slamcmp.registry import sources
@@ -73,7 +76,8 @@ def fit(
     # Q is linear in the variances: what is left with hardly any turn is the translation's share.
     translation = plugin.target(0, **{**parameters, TURN: 1e-9 * stated[TURN]}).Q
     noises = SENSORS[source, made.problem.sensor.name]
-    stream = labelled(made, 0, gate_probability=None)
+    places = made.problem.sensor.name not in ("range_only", "bearing_only")
+    stream = labelled(made, 0, gate_probability=None) if places else delayed_start(made, 0)
     unset = [key for keys, _ in noises.values() for key in keys if stated[key] is None]
     if unset:
         raise UsageError(

@@ -25,8 +25,15 @@ from slamcmp.types import Detections, FloatArray, Log
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 
-MEASURED = {"range_bearing": ("range", "bearing"), "relative_position": ("x", "y")}
+MEASURED = {
+    "range_bearing": ("range", "bearing"),
+    "relative_position": ("x", "y"),
+    "range_only": ("range",),
+    "bearing_only": ("bearing",),
+}
 """Of each sensor the columns of its detections."""
+TOLD_BY_COLUMNS = ("range_bearing", "relative_position")
+"""Sensors that columns tell; beside a range or a bearing alone, one may have a name that is not known."""
 _PATHS = ("odometry", "detections", "truth", "landmarks")
 _LARGEST_ID = 1 << 50
 
@@ -43,6 +50,7 @@ def recording(
     detections: str | None = None,
     truth: str | None = None,
     landmarks: str | None = None,
+    sensor: Literal["range_only", "bearing_only"] | None = None,
     along_sigma_m_sqrt_s: Positive = 0.05,
     across_sigma_m_sqrt_s: Positive = 0.01,
     turn_sigma_rad_sqrt_s: Positive = 0.02,
@@ -67,6 +75,7 @@ def recording(
     ``odometry``: ``t`` and velocities ``v, omega``, increments ``dx, dy, dtheta``, poses ``x, y, theta`` or
     wheel counts ``left, right`` (with ``metres_per_tick``, ``track_m``). ``detections``: ``t, id`` and
     ``range, bearing`` or ``x, y`` in the body frame; their sigmas are columns ``sigma_…``, or parameters.
+    ``sensor``: ``range_only`` or ``bearing_only``, where that is all there is (front end ``delayed_start``).
     ``truth``: ``t, x, y, theta`` (sigmas make a covariance), or a .txt file in TUM's format; interpolated
     between poses at most ``truth_max_gap_s`` apart, elsewhere a gap. ``landmarks``: ``id, x, y``.
     The ``…_offset_s`` are added to the stamps of each file. ``along_…``, ``across_…`` and
@@ -86,12 +95,13 @@ def recording(
         offset_s=odometry_offset_s,
     )
     warnings: list[str] = [] if noise is None else [f"noise: {noise}"]
+    sensor_name: str = sensor or "range_bearing"
     seen = None if detections is None else read_table(find_data_file(detections))
     if seen is None:
         t = motion.t
-        sensor_name, per_frame = "range_bearing", [np.empty(0, np.int64)] * t.size
+        per_frame = [np.empty(0, np.int64)] * t.size
     else:
-        sensor_name = _sensor_of(seen)
+        sensor_name = _sensor_of(seen, sensor)
         others = motion.t if frames == "odometry" else np.empty(0)
         t, per_frame = _instants(seen, detection_offset_s, motion.t, others, warnings)
     true = None if truth is None else _truth_at(find_data_file(truth), t, truth_offset_s, truth_max_gap_s)
@@ -100,7 +110,7 @@ def recording(
     numbers, own_ids = _numbering(
         [] if seen is None else seen.ids or [], [] if sites is None else sites.ids or []
     )
-    sensor = make_sensor(sensor_name, {"space_dim": 2} if sensor_name == "relative_position" else {})
+    model = make_sensor(sensor_name, {"space_dim": 2} if sensor_name == "relative_position" else {})
     sigmas = None
     if seen is not None:
         given = {
@@ -118,7 +128,7 @@ def recording(
         densities,
         t,
         [_frame_of(seen, rows, MEASURED[sensor_name], sigmas, numbers) for rows in per_frame],
-        sensor,
+        model,
         start=PlanarStart(start, prior_position_sigma_m, prior_heading_sigma_rad, start_pose),
         truth=true,
         landmarks=_sites(sites, numbers),
@@ -127,11 +137,20 @@ def recording(
     )
 
 
-def _sensor_of(table: Table) -> str:
-    kinds = [name for name, columns in MEASURED.items() if table.has("t", *columns)]
+def _sensor_of(table: Table, told: str | None) -> str:
+    if told is not None:
+        if not table.has("t", *MEASURED[told]):
+            raise DataError(
+                f"{table.path}: detections of sensor {told} have t, id and {MEASURED[told][0]}, with units; "
+                f"found {', '.join(table.columns) or 'none'}"
+            )
+        return told
+    kinds = [name for name in TOLD_BY_COLUMNS if table.has("t", *MEASURED[name])]
     if len(kinds) != 1:
         partly = " or ".join(name for name in ("range", "bearing") if table.has(name))
-        why = f" ({partly} alone does not place a landmark)" if partly and not kinds else ""
+        why = ""
+        if partly and not kinds:
+            why = f" ({partly} alone does not place a landmark; say sensor: {partly}_only if it is all)"
         raise DataError(
             f"{table.path}: detections have t, id and either range and bearing, or x and y, with "
             "units; found "
@@ -195,7 +214,7 @@ def _numbering(*names: list[int | None]) -> tuple[dict[int, int], Any]:
 
 
 def _sigmas(table: Table, columns: tuple[str, ...], given: dict[str, float | None]) -> FloatArray:
-    """(rows, 2): of each detection's components."""
+    """(rows, d): of each detection's components."""
     found = []
     for name in columns:
         if table.has(f"sigma_{name}"):
@@ -224,9 +243,10 @@ def _frame_of(
     numbers: dict[int, int],
 ) -> Detections:
     if table is None or sigmas is None:
-        return Detections(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0, np.int64))
+        d = len(columns)
+        return Detections(np.empty((0, d)), np.empty((0, d, d)), np.empty(0, np.int64))
     z = np.stack([table.columns[name][rows] for name in columns], axis=1)
-    R = sigmas[rows][:, :, None] ** 2 * np.eye(2)
+    R = sigmas[rows][:, :, None] ** 2 * np.eye(len(columns))
     names = [None] * len(rows) if table.ids is None else [table.ids[row] for row in rows]
     return Detections(
         z, R, np.array([-1 if name is None else numbers[name] for name in names], dtype=np.int64)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from slamcmp.datasets.plain.plain_motion import COVARIANCE
-from slamcmp.datasets.plain.plain_recording import MEASURED
+from slamcmp.datasets.plain.plain_recording import MEASURED, TOLD_BY_COLUMNS
 from slamcmp.errors import DataError, UsageError
 from slamcmp.geometry import se2_coordinates
 from slamcmp.support.atomic import write_atomically
@@ -45,8 +45,7 @@ def write_recording(log: Log, folder: Path, *, kind: str = "csv") -> Written:
     sensor = log.problem.sensor
     if sensor.space_dim != 2 or sensor.name not in MEASURED:
         raise UsageError(
-            f"{log.name}: a recording's files hold planar logs of {' or '.join(MEASURED)}, not of "
-            f"{sensor.name}"
+            f"{log.name}: a recording's files hold planar logs of {', '.join(MEASURED)}, not of {sensor.name}"
         )
     if log.images is not None or any(each is not None for each in log.relative_poses or ()):
         raise UsageError(f"{log.name}: a recording's files hold neither images nor loop closures")
@@ -62,6 +61,8 @@ def write_recording(log: Log, folder: Path, *, kind: str = "csv") -> Written:
         data = _parquet(titles, rows) if kind == "parquet" else _csv(titles, rows)
         _write(path, data)
         written.files.append(path)
+    if log.problem.sensor.name not in TOLD_BY_COLUMNS:
+        source.append("front_end: {name: delayed_start}")
     text = "\n".join([*source, "back_ends: [{name: ekf_slam}, {name: batch}, {name: dead_reckoning}]", ""])
     _write(folder / "experiment.yaml", text.encode())
     written.files.append(folder / "experiment.yaml")
@@ -87,7 +88,7 @@ def _detections(log: Log, columns: Sequence[str]) -> tuple[list[str], Rows]:
     titles += [f"sigma_{name}_{_UNITS[name]}" for name in columns]
     rows: Rows = []
     for t, seen in zip(log.t.tolist(), log.detections, strict=True):
-        if np.abs(seen.R * (1 - np.eye(2))).max(initial=0.0) > 0:
+        if np.abs(seen.R * (1 - np.eye(len(columns)))).max(initial=0.0) > 0:
             raise DataError(
                 f"{log.name}: at {t:.9g} s the noise of a detection is correlated; the files hold sigmas"
             )
@@ -130,7 +131,9 @@ def _settings(log: Log, left_out: list[str]) -> list[str]:
     if np.abs(P - np.diag(np.diagonal(P))).max() > 0 or sigmas[0] != sigmas[1]:
         left_out.append("the prior's covariance beyond one sigma of position and one of heading")
     x, y, theta = se2_coordinates(first).tolist()
+    sensor = log.problem.sensor.name
     return [
+        *([] if sensor in TOLD_BY_COLUMNS else [f"  sensor: {sensor}"]),
         "  frames: odometry",
         f"  start_pose: [{x!r}, {y!r}, {theta!r}]",
         f"  prior_position_sigma_m: {float(sigmas[:2].max())!r}",
