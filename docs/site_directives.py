@@ -30,6 +30,7 @@ REGISTRIES = {
 SHOWN_IN = {
     "association": "association.md",
     "association_shared": "association.md",
+    "bearing_only": "real-robots.md",
     "dial": "from-filter-to-smoother.md",
     "filter_vs_smoother": "consistency.md",
     "kitti00_stereo": "vision.md",
@@ -37,7 +38,9 @@ SHOWN_IN = {
     "mrclam": "real-robots.md",
     "observability": "consistency.md",
     "outliers": "robust.md",
+    "plaza": "real-robots.md",
     "quickstart": "tutorials/reading-the-report.md",
+    "range_only": "real-robots.md",
     "rendered_room": "vision.md",
     "rendered_room_mono": "vision.md",
     "unknown_association": "without-labels.md",

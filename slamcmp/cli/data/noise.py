@@ -21,6 +21,7 @@ SENSORS: dict[tuple[str, str], dict[str, tuple[tuple[str, ...], tuple[int, ...]]
     ("recording", "range_only"): {"range": (("range_sigma_m",), (0,))},
     ("recording", "bearing_only"): {"bearing": (("bearing_sigma_rad",), (0,))},
     ("recording", "relative_position"): {"position": (("position_sigma_m",), (0, 1))},
+    ("plaza", "range_only"): {"range": (("range_sigma_m",), (0,))},
     ("mrclam", "range_bearing"): {
         "range": (("range_sigma_m", "range_sigma_per_m"), (0,)),
         "bearing": (("bearing_sigma_deg",), (1,)),
@@ -48,7 +49,7 @@ def fit(
     log: Annotated[
         list[str],
         typer.Argument(
-            help="An experiment with source recording or mrclam, or odometry and detections of one log."
+            help="An experiment (source recording, mrclam or plaza), or odometry and detections of one log."
         ),
     ],
     settings: Annotated[
@@ -142,9 +143,10 @@ def _source(log: list[str], settings: list[str]) -> tuple[str, dict[str, Any]]:
             raise UsageError(f"noise fit: {', '.join(log)}: one experiment, or the files of one log")
         component = load_experiment(find_experiment(log[0])).source
         source, given = component.name, dict(component.arguments())
-    if source not in ("recording", "mrclam"):
+    if source not in ("recording", "mrclam", "plaza"):
         raise UsageError(
-            f"noise fit: of source {source} no parameter sets the noise; recording and mrclam have some"
+            f"noise fit: of source {source} no parameter sets the noise; recording and mrclam have some, "
+            "plaza too"
         )
     for key in ("truth", "landmarks", "truth_offset_s", "truth_max_gap_s"):
         given.pop(key, None)
