@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +18,28 @@ from slamcmp.support.yaml_source import load_yaml
 MISTAKES: list[dict[str, Any]] = load_yaml(Path(__file__).with_name("student_mistakes.yaml")).data["mistakes"]
 
 
+@functools.cache
+def grading_of(name: str) -> Grading:
+    """One for all mistakes: what the reference and the mutants answer is asked for once.
+
+    Of many runs a few are enough: a cause is looked for in the first.
+    """
+    assignment = load_assignment(find_assignment(name))
+    tests = tuple(
+        replace(test, parameters={**test.parameters, "runs": 5}) if "runs" in test.parameters else test
+        for test in assignment.tests
+    )
+    return Grading(replace(assignment, tests=tests), "ada", b"a secret of the tests")
+
+
 def named(mistake: dict[str, Any]) -> set[str]:
     """Names of the mutants whose message is told anywhere in the tests of a submission with this mistake."""
-    assignment = load_assignment(find_assignment(mistake["assignment"]))
+    grading = grading_of(mistake["assignment"])
+    assignment = grading.assignment
     assert assignment.solution_source.count(mistake["old"]) == 1, mistake
     source = assignment.solution_source.replace(mistake["old"], mistake["new"])
     module = load_source("slamcmp_student", source, Path("student.py"))
-    *_, outcome = Grading(assignment, "ada", b"a secret of the tests").outcomes(InProcess(module))
+    *_, outcome = grading.outcomes(InProcess(module))
     said = "\n".join(test.message for test in outcome.tests)
     assert outcome.score < outcome.max_score, mistake
     # The template's own words, up to the first number that is filled in.

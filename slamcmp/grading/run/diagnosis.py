@@ -4,14 +4,15 @@ Each function is looked at by itself. A mutant of the reference, made for the as
 function's answers only if it gives the same numbers in *every* output of *every* call that both were asked
 alike, and the reference does not: one output that it does not reproduce speaks against it, whatever the
 others say. Where several mistakes would explain the answers, or none, nothing is claimed. What no mutant
-explains is compared with what mistakes usually look like, which says what is seen and not why.
+explains is looked for among slips of the solution (slips/), and then compared with what mistakes usually
+look like, which says what is seen and not why.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,9 @@ def explain(
     student: Sequence[Remembered],
     reference: Sequence[Remembered],
     known: Iterable[tuple[str, Sequence[Remembered]]],
+    *,
+    right_answer: Callable[[Remembered], Any] | None = None,
+    slip: Callable[[str], str | None] | None = None,
 ) -> list[str]:
     """Likely causes as messages for the student, in the order of the functions asked, at most ``CAUSES``.
 
@@ -60,8 +64,13 @@ def explain(
         student: what the submission answered.
         reference: what the reference answered when asked the same.
         known: messages (templates over the fields of :class:`Difference`) with the answers of the mutant.
+        right_answer: what the reference answers to the very same question. What it was asked in its own run
+            is the same up to rounding only, and an answer that is the difference of its arguments is not.
+        slip: what may be said of a function that no known mistake explains, by slips/; None: nothing at all.
     """
     own, right = _by_function(student), _by_function(reference)
+    if right_answer is not None:
+        right = _asked_again(own, right, right_answer)
     wrong = {
         function: calls
         for function in own
@@ -84,7 +93,11 @@ def explain(
             place = _largest(function, calls, own[function], right[function])
             found.append(messages[0].format(**vars(place)))
         elif not messages:
-            found += _signatures(function, calls, own[function], right[function])
+            said = slip(function) if slip is not None else ""
+            if said == "":
+                found += _signatures(function, calls, own[function], right[function])
+            elif said is not None:
+                found.append(said)
     return list(dict.fromkeys(found))[:CAUSES]
 
 
@@ -98,15 +111,15 @@ def functions_asked(answers: Sequence[Remembered]) -> frozenset[str]:
 def contradicted(
     theirs: Sequence[Remembered], student: Sequence[Remembered], reference: Sequence[Remembered]
 ) -> bool:
-    """Whether a mistake would have made an answer wrong that the student has right."""
+    """Whether a mistake would have made an answer wrong that the student has right, or wrong otherwise."""
     mistaken, own, right = _by_function(theirs), _by_function(student), _by_function(reference)
     return any(
         number in own.get(function, {})
         and number in right.get(function, {})
         and _asked_alike(call, right[function][number])
         and _asked_alike(own[function][number], right[function][number])
-        and _answered_alike(own[function][number].answer, right[function][number].answer)
-        and not _answered_alike(call.answer, right[function][number].answer)
+        and not answered_alike(call.answer, right[function][number].answer)
+        and not answered_alike(call.answer, own[function][number].answer)
         for function, calls in mistaken.items()
         for number, call in calls.items()
     )
@@ -119,6 +132,24 @@ def _by_function(answers: Sequence[Remembered]) -> dict[str, dict[int, Remembere
     return calls
 
 
+def _asked_again(
+    own: Mapping[str, Calls], right: Mapping[str, Calls], right_answer: Callable[[Remembered], Any]
+) -> dict[str, dict[int, Remembered]]:
+    """The reference's answers, to the student's own questions where those are the same up to rounding."""
+    return {
+        function: {
+            number: replace(call, answer=right_answer(asked[number]))
+            if (asked := own.get(function, {})).get(number) is not None
+            and call.arguments
+            and _asked_alike(asked[number], call)
+            and not answered_alike(asked[number].answer, call.answer)
+            else call
+            for number, call in calls.items()
+        }
+        for function, calls in right.items()
+    }
+
+
 def _wrong_calls(own: Calls, right: Calls) -> list[int]:
     """The calls with a wrong answer, of those that asked what the reference was asked.
 
@@ -129,7 +160,7 @@ def _wrong_calls(own: Calls, right: Calls) -> list[int]:
         for number, answer in own.items()
         if number in right
         and _asked_alike(answer, right[number])
-        and not _answered_alike(answer.answer, right[number].answer)
+        and not answered_alike(answer.answer, right[number].answer)
     ]
 
 
@@ -142,19 +173,20 @@ def _explains(theirs: Calls, own: Calls, right: Calls, wrong: Sequence[int]) -> 
     common = [number for number in own if number in theirs and _asked_alike(own[number], theirs[number])]
     told_apart = False
     for number in common:
-        if not _answered_alike(own[number].answer, theirs[number].answer):
+        if not answered_alike(own[number].answer, theirs[number].answer):
             return False
         if number in right and number in wrong:
-            told_apart = told_apart or _differs_in_numbers(theirs[number].answer, right[number].answer)
+            told_apart = told_apart or differs_in_numbers(theirs[number].answer, right[number].answer)
     return told_apart and all(number in common for number in wrong if number in theirs)
 
 
-def _answered_alike(first: Any, second: Any) -> bool:
+def answered_alike(first: Any, second: Any) -> bool:
+    """Whether two answers are the same up to rounding, in every output."""
     one, other = dict(leaves(first)), dict(leaves(second))
     return one.keys() == other.keys() and all(_alike(one[path], other[path]) for path in one)
 
 
-def _differs_in_numbers(theirs: Any, right: Any) -> bool:
+def differs_in_numbers(theirs: Any, right: Any) -> bool:
     """Whether a mistake shows in numbers: many a mistake ends in the same error of numpy's."""
     if isinstance(theirs, str):
         return False
@@ -299,6 +331,8 @@ def _entries_signature(what: str, pairs: Sequence[tuple[FloatArray, FloatArray]]
     yours, expected = (np.stack(side) for side in zip(*pairs, strict=True))
     scale = np.abs(expected).max(axis=0)
     off = np.abs(yours - expected) > SAME * np.maximum(scale, 1e-6 * scale.max(initial=0.0)) + 1e-12
+    if not off.any():
+        return ""
     a, b = yours[off], expected[off]
     names = ", ".join(str(index.tolist()) for index in np.argwhere(off.any(axis=0))[:6])
     whose = what if off.all() else f"{what} in {names}"

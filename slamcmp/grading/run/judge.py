@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import time
 import traceback
 import warnings
@@ -19,6 +20,7 @@ from slamcmp.grading.assignment.seeds import hidden_generator
 from slamcmp.grading.results.outcome import TestOutcome, TestStatus
 from slamcmp.grading.run.diagnosis import contradicted, explain, functions_asked
 from slamcmp.grading.run.implementations import Remembered, Remembering, TrustedImplementation
+from slamcmp.grading.run.slips.search import SlipSearch
 from slamcmp.grading.run.trial import Implementation, Trial, Verdict
 from slamcmp.grading.sandbox.errors import (
     ProtocolViolation,
@@ -226,7 +228,25 @@ class Judge:
             for mutant in self._assignment.mutants
             if not self.evidence_lost and mutant.touches(asked) and not self._spoken_against(mutant, spec)
         )
-        return explain(answers, self._replay(spec, None), known)
+        return explain(
+            answers,
+            self._replay(spec, None),
+            known,
+            right_answer=self._solution.answer,
+            slip=self._slip,
+        )
+
+    @functools.cached_property
+    def _solution(self) -> SlipSearch:
+        return SlipSearch(self._assignment.solution_source, frozenset(self._assignment.fields.functions))
+
+    def _slip(self, function: str) -> str | None:
+        """The slip that explains a function's answers up to now, as a message; None: others are to blame."""
+        calls = [each for _, asked in self._asked for each in asked.answers]
+        if self._solution.others_to_blame(function, calls):
+            return None
+        said = "" if self.evidence_lost else self._solution.said(function, calls)
+        return f"Your {function} answers as if {said}." if said else ""
 
     def _spoken_against(self, mutant: Mutant, spec: TestSpec) -> bool:
         return any(

@@ -1,0 +1,1 @@
+"""Mistakes made by rule: the solution with one thing done otherwise."""

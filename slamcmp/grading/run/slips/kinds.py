@@ -1,0 +1,58 @@
+"""What may be done otherwise, in the words for a student: each ends "Your f answers as if …"."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+
+SIGN = "a sign were turned round"
+TERM = "a term were left out"
+FACTOR = "a factor were left out"
+TWICE, HALF = "something counted twice", "something counted half"
+ROOT, SQUARED = "a root were too much or a square missing", "a square were too much or a root missing"
+DIAGONAL = "only a diagonal counted"
+DEGREES = "degrees and radians were exchanged"
+TRANSPOSE = "a matrix stood where its transpose belongs"
+INVERSE = "a matrix stood where its inverse belongs, or the other way round"
+ORDER = "two factors stood in the other order"
+BY_ENTRY = "matrices were multiplied entry by entry (*), where their product (@) is needed"
+OFF_BY_ONE = "an index were off by one"
+CONSTANT = "a number in it were another one"
+EXCHANGED = "two things stood in each other's place"
+OUTPUTS = "its outputs stood in another order"
+CONDITION = "a condition were left out"
+ANOTHER = "one quantity stood in another's place"
+LEFT_OUT = "a step were left out"
+FACTOR_MORE, TERM_MORE = "a factor were too much", "a term were too much"
+STEP_LESS = "there were one step less"
+DIAGONAL_INVERTED = "only the diagonal of a matrix were inverted"
+FACTOR_TWICE = "a factor counted twice (squared)"
+INDEX = "an index were another one"
+VAGUE = (
+    CONSTANT,
+    INDEX,
+    FACTOR_MORE,
+    FACTOR_TWICE,
+    TERM_MORE,
+    LEFT_OUT,
+    STEP_LESS,
+    ANOTHER,
+    EXCHANGED,
+    FACTOR,
+    DIAGONAL,
+    TERM,
+)
+"""These say less than what else says the same; the first the least."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A node to put in another's place."""
+
+    kind: str
+    """What is done otherwise, as the end of "answers as if …"."""
+    new: ast.AST
+    about: tuple[ast.AST, ...] = ()
+    """What of the formula it is about."""
+    text: str = ""
+    """The same of one thing that the function is given, by its name."""

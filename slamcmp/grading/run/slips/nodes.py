@@ -1,0 +1,46 @@
+"""Pieces of Python's syntax tree."""
+
+from __future__ import annotations
+
+import ast
+
+
+def negative(node: ast.expr) -> ast.expr:
+    return ast.UnaryOp(ast.USub(), node)
+
+
+def times(factor: float, node: ast.expr) -> ast.expr:
+    return ast.BinOp(ast.Constant(factor), ast.Mult(), node)
+
+
+def transpose(node: ast.expr) -> ast.expr:
+    return ast.Attribute(node, "T", ast.Load())
+
+
+def transposed(node: ast.expr) -> bool:
+    return isinstance(node, ast.Attribute) and node.attr == "T"
+
+
+def reversed(node: ast.expr) -> ast.expr:
+    step = ast.Slice(None, None, ast.UnaryOp(ast.USub(), ast.Constant(1)))
+    return ast.Subscript(node, step, ast.Load())
+
+
+def sliced(node: ast.expr, start: int | None, stop: int | None) -> ast.expr:
+    ends = [None if end is None else ast.Constant(end) for end in (start, stop)]
+    return ast.Subscript(node, ast.Slice(*ends), ast.Load())
+
+
+def call(name: str, *arguments: ast.expr) -> ast.expr:
+    function: ast.expr
+    first, *rest = name.split(".")
+    function = ast.Name(first, ast.Load())
+    for each in rest:
+        function = ast.Attribute(function, each, ast.Load())
+    return ast.Call(function, list(arguments), [])
+
+
+def called(node: ast.Call) -> str:
+    if isinstance(node.func, ast.Attribute):
+        return node.func.attr
+    return node.func.id if isinstance(node.func, ast.Name) else ""
