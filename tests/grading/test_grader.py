@@ -189,9 +189,18 @@ def test_diagnosis_looks_for_no_mistake_in_what_is_still_to_be_written() -> None
 def test_a_mistake_speaks_against_itself_where_the_student_is_right() -> None:
     right = [Remembered("g", (1.0,), 2.0), Remembered("g", (2.0,), 4.0)]
     mutant = [right[0], Remembered("g", (2.0,), 5.0)]
-    assert contradicted(mutant, right, right)
-    assert not contradicted(mutant, mutant, right)
-    assert not contradicted(right, mutant, right)
+    assert contradicted(mutant, right)
+    assert not contradicted(mutant, mutant)
+    assert not contradicted([Remembered("g", (7.0,), 1.0)], right), "another question"
+
+
+def test_a_mistake_that_leaves_wrong_answers_unexplained_is_not_the_one() -> None:
+    """Both branches of a condition exchanged: where one of them is asked for it looks like half of it."""
+    right = [Remembered("g", ("a",), 2.0), Remembered("g", ("b",), 4.0)]
+    exchanged = [Remembered("g", ("a",), 4.0), Remembered("g", ("b",), 2.0)]
+    always = [right[0], Remembered("g", ("b",), 2.0)]
+    assert contradicted(always, exchanged)
+    assert contradicted(right, exchanged)
 
 
 def test_diagnosis_takes_no_common_error_for_a_known_mistake() -> None:
@@ -210,6 +219,7 @@ def test_diagnosis_tells_rows_too_many_and_too_few_and_swapped_columns() -> None
     assert cause(more) == ["match holds all that it should and 2 rows more."]
     assert cause(pairs[:2]) == ["match lacks 1 rows and is right in the others."]
     assert cause(pairs[:, ::-1]) == ["match has its two columns swapped."]
+    assert cause(pairs[[0, 0, 0]]) == [], "as many rows, one of them three times"
 
 
 def test_diagnosis_tells_what_is_seen_and_does_not_guess() -> None:

@@ -83,11 +83,11 @@ def said(old: str, new: str, function: str) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "function", "wanted"),
     [
-        ("@ C.T + R", "@ C.T - R", "update", "R had its sign turned round"),
+        ("@ C.T + R", "@ C.T - R", "update", "R went in with the other sign"),
         ("@ C.T + R", "@ C.T", "update", "R were left out (zero)"),
-        ("@ C.T + R", "@ C.T + R @ R", "update", "R were multiplied by itself"),
+        ("@ C.T + R", "@ C.T + R @ R", "update", "R went in multiplied by itself"),
         ("@ C.T + R", "@ C.T + R / 2", "update", "R counted half"),
-        ("@ C.T + R", "@ C.T + np.diag(np.diag(R))", "update", "R counted with its diagonal only"),
+        ("@ C.T + R", "@ C.T + np.diag(np.diag(R))", "update", "R went in with its diagonal only"),
         ("(y - C @ mean)", "(C @ mean - y)", "update", "a sign were turned round, in the part with mean"),
         ("mean + gain", "gain", "update", "a term were left out, in the part with mean"),
         ("P - gain @ C @ P", "P - gain @ C", "update", "a factor were left out, in the part with P"),
@@ -139,7 +139,7 @@ def test_nothing_is_said_of_other_answers(old: str, new: str, function: str) -> 
 def test_one_call_that_a_slip_does_not_explain_speaks_against_it() -> None:
     calls = calls_of(SOLUTION.replace("@ C.T + R", "@ C.T - R"), "update")
     search = SlipSearch(SOLUTION, ASKED)
-    assert search.said("update", calls) == "R had its sign turned round"
+    assert search.said("update", calls) == "R went in with the other sign"
     right = calls_of(SOLUTION, "update")
     assert search.said("update", [*calls, *right]) == ""
     assert search.said("update", calls) == "", "what was spoken against once is not said later"

@@ -10,7 +10,7 @@ look like, which says what is seen and not why.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -108,17 +108,15 @@ def functions_asked(answers: Sequence[Remembered]) -> frozenset[str]:
     return named if all(each.arguments for each in answers) else frozenset()
 
 
-def contradicted(
-    theirs: Sequence[Remembered], student: Sequence[Remembered], reference: Sequence[Remembered]
-) -> bool:
-    """Whether a mistake would have made an answer wrong that the student has right, or wrong otherwise."""
-    mistaken, own, right = _by_function(theirs), _by_function(student), _by_function(reference)
+def contradicted(theirs: Sequence[Remembered], student: Sequence[Remembered]) -> bool:
+    """Whether a mistake answers otherwise than the student where both were asked the same.
+
+    Whether the student is right there does not matter: it is not this mistake alone.
+    """
+    mistaken, own = _by_function(theirs), _by_function(student)
     return any(
         number in own.get(function, {})
-        and number in right.get(function, {})
-        and _asked_alike(call, right[function][number])
-        and _asked_alike(own[function][number], right[function][number])
-        and not answered_alike(call.answer, right[function][number].answer)
+        and _asked_alike(call, own[function][number])
         and not answered_alike(call.answer, own[function][number].answer)
         for function, calls in mistaken.items()
         for number, call in calls.items()
@@ -354,9 +352,9 @@ def _rows_signature(what: str, both: Sequence[tuple[Any, Any]]) -> str:
         a, b = _numbers(first), _numbers(second)
         if a is None or b is None or a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1]:
             return ""
-        given, wanted = ({tuple(row) for row in rows.tolist()} for rows in (a, b))
-        more += len(given - wanted)
-        fewer += len(wanted - given)
+        given, wanted = (Counter(tuple(row) for row in rows.tolist()) for rows in (a, b))
+        more += (given - wanted).total()
+        fewer += (wanted - given).total()
     if more and not fewer:
         return f"{what} holds all that it should and {more} rows more."
     if fewer and not more:

@@ -250,7 +250,7 @@ class Judge:
 
     def _spoken_against(self, mutant: Mutant, spec: TestSpec) -> bool:
         return any(
-            contradicted(self._replay(earlier, mutant), answered.answers, self._replay(earlier, None))
+            contradicted(self._replay(earlier, mutant), answered.answers)
             for earlier, answered in self._asked
             if earlier is not spec and earlier.fields.kind in _SINGLE_CALLS
             if mutant.touches(functions_asked(answered.answers))

@@ -158,13 +158,13 @@ def changes_of_entry(name: str) -> Iterator[Change]:
     given: ast.expr = ast.Name(name, ast.Load())
     array = call("np.asarray", given)
     for kind, text, new in (
-        (TRANSPOSE, "were transposed", transpose(array)),
-        (INVERSE, "were inverted", call("np.linalg.inv", given)),
-        (SIGN, "had its sign turned round", negative(array)),
-        (SQUARED, "were multiplied by itself", ast.BinOp(given, ast.MatMult(), given)),
-        (SQUARED, "were squared entry by entry", ast.BinOp(array, ast.Pow(), ast.Constant(2))),
-        (ROOT, "had its root taken", call("np.sqrt", call("np.abs", given))),
-        (DIAGONAL, "counted with its diagonal only", call("np.diag", call("np.diag", given))),
+        (TRANSPOSE, "stood where its transpose belongs", transpose(array)),
+        (INVERSE, "stood where its inverse belongs, or the other way round", call("np.linalg.inv", given)),
+        (SIGN, "went in with the other sign", negative(array)),
+        (SQUARED, "went in multiplied by itself", ast.BinOp(given, ast.MatMult(), given)),
+        (SQUARED, "went in squared", ast.BinOp(array, ast.Pow(), ast.Constant(2))),
+        (ROOT, "went in as its root", call("np.sqrt", call("np.abs", given))),
+        (DIAGONAL, "went in with its diagonal only", call("np.diag", call("np.diag", given))),
         (TERM, "were left out (zero)", times(0.0, array)),
         (FACTOR, "were left out (the identity)", call("np.eye", call("len", given))),
         (TWICE, "counted twice", times(2.0, array)),

@@ -55,8 +55,9 @@ class SlipSearch:
             return f"{error.type_name}: {error.message}"
 
     def others_to_blame(self, function: str, calls: Sequence[Remembered]) -> bool:
-        """Whether a function that it calls has given a wrong answer by itself."""
-        called = functions_called(self._source, function) & self._asked
+        """Whether a function that it calls has given a wrong answer by itself; an object may call any."""
+        of_object = any(each.name == function and not each.arguments for each in calls)
+        called = self._asked if of_object else functions_called(self._source, function) & self._asked
         return any(each.name in called and each.arguments and self._is_wrong(each) for each in calls)
 
     def said(self, function: str, calls: Sequence[Remembered]) -> str:
