@@ -128,9 +128,18 @@ def test_what_is_missing_or_wrong_is_told(tmp_path: Path) -> None:
     savemat(tmp_path / "Plaza1_.mat", {"GT": np.zeros((3, 2))})
     with pytest.raises(DataError, match=r"Plaza1_\.mat: has no table 'GT' of 4 columns; found GT"):
         plaza(path=str(tmp_path))
-    (tmp_path / "Plaza1_.mat").write_text("no such thing")
-    with pytest.raises(DataError, match=r"Plaza1_\.mat: cannot be read as a MATLAB file"):
-        plaza(path=str(tmp_path))
+    whole = wheel_file("Plaza1_.mat").read_bytes()
+    for broken in (
+        b"",
+        b"no such thing",
+        b"x" * 4000,
+        whole[:100],
+        whole[:5000],
+        whole[:200] + whole[900:9000],
+    ):
+        (tmp_path / "Plaza1_.mat").write_bytes(broken)
+        with pytest.raises(DataError, match=r"Plaza1_\.mat: (cannot be read as a MATLAB file|has no table)"):
+            plaza(path=str(tmp_path))
     lines = wheel_file("Plaza1_DR.txt").read_text().splitlines()
     (tmp_path / "Plaza1_DR.txt").write_text("\n".join([*lines[:3], lines[1], *lines[3:]]))
     with pytest.raises(DataError, match=r"Plaza1_DR\.txt: row 4: its time does not come after"):
