@@ -16,15 +16,14 @@ from slamcmp.experiment.executors.processes import Executor
 from slamcmp.experiment.gathering.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.gathering.tables import gather
 from slamcmp.experiment.job.fault import OUTSIDE, Fault
-from slamcmp.experiment.job.task import truth_path
 from slamcmp.experiment.planning.plan import Plan, plan_experiment
 from slamcmp.experiment.planning.samples import names_of
-from slamcmp.experiment.planning.trials import Trial, make_trials
+from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.shared_cache import SharedCache, shared_cache
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.registry import executors
-from slamcmp.results.runs.run_file import load_truth
+from slamcmp.results.runs.gathered import AboutStream
 from slamcmp.results.store import Results, save_results
 from slamcmp.support.atomic import remove_left_behind
 from slamcmp.support.interruption import interruptions
@@ -114,7 +113,7 @@ def run_experiment(
             rounds.pending,
         )
         again = int(tables.trials["status"].isin(OUTSIDE).sum())
-        about_streams = _about_streams(rounds.plan.trials, folder, experiment.reference)
+        about_streams = _about_streams(tables.streams, experiment.reference)
         manifest |= {
             "finished": now(),
             "wall_s": time.monotonic() - begin,
@@ -223,33 +222,26 @@ class _Rounds:
             experiment = experiment.with_more_seeds()
 
 
-def _about_streams(trials: Sequence[Trial], folder: Path, reference: str | None) -> dict[str, Any]:
+def _about_streams(streams: Sequence[AboutStream], reference: str | None) -> dict[str, Any]:
     """What the front end let through, over all trials, and what a reader must know about the streams."""
     totals: dict[str, int] = {}
     warnings: dict[str, None] = {}
-    streams = empty = without_truth = 0
-    for key in dict.fromkeys(trial.stream.key for trial in trials):
-        try:
-            known = load_truth(truth_path(folder, key))
-        except MemoryError:
-            # Its rows say so; what others have is told all the same.
-            continue
-        if known is None:
-            continue
-        streams += 1
+    for known in streams:
         warnings |= dict.fromkeys(known.warnings)
-        empty += known.front_end.get("kept") == 0 and not known.front_end.get("loop closures")
-        without_truth += known.error is None and known.truth is None
         for name, count in known.front_end.items():
             totals[name] = totals.get(name, 0) + count
+    empty = sum(
+        known.front_end.get("kept") == 0 and not known.front_end.get("loop closures") for known in streams
+    )
+    without_truth = sum(not known.failed and not known.has_truth for known in streams)
     if empty:
         warnings[
-            f"the front end kept no detection in {empty} of {streams} streams: there, every back end had "
-            "nothing but odometry"
+            f"the front end kept no detection in {empty} of {len(streams)} streams: there, every back end "
+            "had nothing but odometry"
         ] = None
     if without_truth and reference is None:
         warnings[
             "no truth: set reference to the label of a smoother, whose final solution then takes its place "
-            f"({without_truth} of {streams} streams)"
+            f"({without_truth} of {len(streams)} streams)"
         ] = None
     return {"front_end_totals": totals, "warnings": list(warnings)}

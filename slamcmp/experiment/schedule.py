@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import threading
 from collections import deque
 from dataclasses import replace
@@ -18,18 +19,21 @@ from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.executors.processes import Ended, Executor
 from slamcmp.experiment.job.collected import recovered
 from slamcmp.experiment.job.fault import OUTSIDE, Fault
-from slamcmp.experiment.job.planned import changed_files, changed_stamp, loaded_before
+from slamcmp.experiment.job.outdated import why_outdated
 from slamcmp.experiment.job.task import Task, run_path, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
+from slamcmp.experiment.packing import Packing
 from slamcmp.experiment.planning.plan import Plan
 from slamcmp.experiment.planning.samples import Samples
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial
+from slamcmp.frontend.stream_file import load_stream
 from slamcmp.registry import Plugin
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.atomic import storage_error
 from slamcmp.support.code_version import PACKAGE
 from slamcmp.support.memory import machine_memory_mb
 from slamcmp.support.messages import LIMIT, describe, told
+from slamcmp.support.packed_files import content, remove
 from slamcmp.support.progress import Watcher
 from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import Status
@@ -86,6 +90,7 @@ class Schedule:
                 self._ready.append(job)
         for key in {job.stream_key for job in plan.runs.values()} - set(plan.streams):
             self._remember_stream(load_truth(truth_path(folder, key)), key)
+        self._packing = Packing(folder, plan.runs.values())
         self.pending = {*plan.runs, *plan.streams}
         """Keys of what is not done."""
 
@@ -152,7 +157,7 @@ class Schedule:
             self._lose(job.key, "missing", "what was known about its stream is gone")
             return False
         try:
-            task.result.unlink(missing_ok=True)
+            remove(task.result)
         except OSError as error:
             raise storage_error(task.result, error) from error
         try:
@@ -221,6 +226,8 @@ class Schedule:
                 ended.shared.close()
         self.done += 1
         self._watcher.ended(task.key, outcome, ended.frames_done)
+        if task.kind == "run":
+            self._packing.run_done(task)
 
     def _finish_run(self, ended: Ended) -> str:
         task = ended.task
@@ -248,9 +255,18 @@ class Schedule:
 
     def _why_missing(self, ended: Ended) -> str:
         if not ended.outdated:
+            self._drop_damaged(stream_path(self._folder, ended.task.digest))
             done, frames = ended.frames_done, self._frames[ended.task.stream_key][1]
             return told(f"after {done} of {frames} frames: {ended.fault}{self._last_words(ended.task)}")
-        return _outdated(ended.task)
+        return why_outdated(ended.task)
+
+    def _drop_damaged(self, file: Path) -> None:
+        """Have a stream made again that cannot be read; only this process writes to packs."""
+        try:
+            load_stream(file)
+        except SlamcmpError:
+            with contextlib.suppress(SlamcmpError, OSError):
+                remove(file)
 
     def _finish_stream(self, ended: Ended) -> str:
         key = ended.task.key
@@ -259,18 +275,19 @@ class Schedule:
         known = None if ended.fault else load_truth(ended.task.result)
         if known is not None and known.error is None:
             self._remember_stream(known, key)
+            self._packing.stream_done(key, known.digest)
             waiting = [*waiting, *self._of_another_stream(key, known)]
             # Before further streams: so few streams wait unread, and results appear early.
             self._ready.extendleft(reversed(waiting))
             return "ok"
         kind, message = known.error if known is not None and known.error is not None else ("", ended.fault)
         with contextlib.suppress(OSError):
-            ended.task.result.unlink(missing_ok=True)
+            remove(ended.task.result)
         status: Status = ended.status if ended.fault and ended.status in OUTSIDE else "crashed"
         if not ended.fault and known is None:
             status, message = "missing", "its file is gone or cannot be read"
         elif ended.outdated:
-            message = _outdated(ended.task)
+            message = why_outdated(ended.task)
         self.stream_faults[key] = Fault(status, told(f"no stream: {message}"))
         self.pending -= {job.key for job in waiting}
         self.done += len(waiting)
@@ -289,7 +306,7 @@ class Schedule:
             path = run_path(self._folder, job.key)
             stored = load_run(path)
             if stored is None or (stored.run.digest, stored.scored_against) != expected:
-                path.unlink(missing_ok=True)
+                remove(path)
                 jobs.append(job)
         self.again += len(jobs)
         self.pending |= {job.key for job in jobs}
@@ -331,7 +348,7 @@ class Schedule:
 
     def _space_dim(self, task: Task) -> int:
         try:
-            with np.load(stream_path(self._folder, task.digest), allow_pickle=False) as file:
+            with np.load(io.BytesIO(content(stream_path(self._folder, task.digest)))) as file:
                 return int(file["prior_T"].shape[0]) - 1
         except (OSError, ValueError, KeyError):
             # Gone meanwhile: nothing in an empty trajectory depends on it.
@@ -350,23 +367,6 @@ def _is_own(plugin: Plugin) -> bool:
     while isinstance(target, functools.partial):
         target = target.func
     return "user_file" not in plugin.traits and str(target.__module__).startswith(f"{PACKAGE.name}.")
-
-
-def _outdated(task: Task) -> str:
-    """What a row says whose code or data is not what was planned."""
-    names = [*changed_files(task.code), *(Path(path).name for path in task.data if changed_stamp(task, path))]
-    if not names:
-        # Only what this process itself has loaded can be older than the files: it is no worker.
-        old = loaded_before(task.code)
-        if old:
-            return told(
-                f"not run: slamcmp itself was edited ({', '.join(old[:3])}) since this process loaded it; "
-                "start Python anew"
-            )
-    which = f" ({', '.join(names[:3])}{' …' if len(names) > 3 else ''})" if names else ""
-    return told(
-        f"not run: its code or data changed while the experiment ran{which}; the same command runs it"
-    )
 
 
 def _log_text(task: Task) -> str:

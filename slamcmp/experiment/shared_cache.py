@@ -21,6 +21,7 @@ from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, 
 from slamcmp.experiment.planning.trials import Trial
 from slamcmp.registry import SESSION
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, truth_digest
+from slamcmp.support.packed_files import names_in
 
 VARIABLE = "SLAMCMP_CACHE"
 OFF = ("off", "0", "no", "")
@@ -77,7 +78,7 @@ class SharedCache:
         runs, streams = _names(self.folder / "runs"), _names(self.folder / "streams")
         if not (runs or streams):
             return set()
-        runs_there, streams_there = _names(folder / "runs"), _names(folder / "streams")
+        runs_there, streams_there = names_in(folder / "runs"), names_in(folder / "streams")
         brought: set[str] = set()
         seen: set[str] = set()
         for trial in trials:
@@ -103,7 +104,10 @@ class SharedCache:
         return sum(run_path(self.folder, key).name in there for key in keys_of_runs)
 
     def keep(self, keys_of_streams: Iterable[str], keys_of_runs: Iterable[str], folder: Path) -> None:
-        """Take over what a results folder has of these keys; a cache that cannot be written is left alone."""
+        """Take over what a results folder has of these keys; a cache that cannot be written is left alone.
+
+        What a large sweep has packed already stays with it.
+        """
         kept = False
         with contextlib.suppress(OSError):
             for key in keys_of_streams:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.npz import read_arrays
+from slamcmp.support.packed_files import content, is_there
 from slamcmp.types import Detections, FrontEndReport, MeasurementStream, Problem, RelativePoses
 from slamcmp.types.columns import Columns, columns_of, parts
 from slamcmp.types.stream import frames_of
@@ -80,11 +82,10 @@ def load_stream(path: Path | str) -> MeasurementStream:
         DataError: the file is not a stream, is damaged, or its content does not match its digest.
     """
     path = Path(path)
-    if not path.is_file():
+    if not is_there(path):
         raise MissingDataError(f"{path}: there is no such stream file")
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            data = {name: stored[name] for name in stored.files}
+        data = read_arrays(content(path))
         header = json.loads(data["header"].tobytes().decode())
         if header["format"] != FORMAT:
             raise DataError(f"{path}: format {header['format']!r} where {FORMAT!r} is needed")
@@ -107,8 +108,6 @@ def load_stream(path: Path | str) -> MeasurementStream:
 
 
 def _rebuild(header: dict[str, Any], data: dict[str, Any]) -> MeasurementStream:
-    for array in data.values():
-        array.flags.writeable = False
     if len(data["ids"]) != data["size"].sum():
         raise DataError("the observation arrays do not have the length that the frames add up to")
     columns = Columns(

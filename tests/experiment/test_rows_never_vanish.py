@@ -13,7 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from slamcmp.experiment import runner, schedule, stop_search
+from slamcmp.experiment import schedule, stop_search
 from slamcmp.experiment.gathering import tables
 from slamcmp.experiment.planning import plan
 from slamcmp.experiment.runner import run_experiment
@@ -155,7 +155,7 @@ def test_memory_that_ends_while_results_are_gathered(
     assert len(again.frames) == len(whole.frames) == 80
 
 
-@pytest.mark.parametrize("module", [plan, runner, stop_search], ids=lambda module: module.__name__)
+@pytest.mark.parametrize("module", [plan, stop_search], ids=lambda module: module.__name__)
 def test_memory_that_ends_before_or_after_results_are_gathered(
     write_experiment: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: ModuleType
 ) -> None:

@@ -270,12 +270,13 @@ def _write(path: Path, run: Run, poses: Any, file_format: ExportFormat, root: Pa
     from slamcmp.datasets.trajectory_files import write_trajectory
     from slamcmp.errors import MissingDataError, StorageError
     from slamcmp.frontend.stream_file import load_stream
+    from slamcmp.support.packed_files import is_there
 
     if file_format is not ExportFormat.g2o:
         write_trajectory(path, poses, file_format.value)  # type: ignore[arg-type]
         return
     stream = root / "streams" / f"{run.digest}.npz"
-    if not stream.is_file():
+    if not is_there(stream):
         raise MissingDataError(
             f"{stream}: the stream of this run is not there, whose edges a g2o file holds (imported runs "
             "have none); tum, kitti, euroc, csv and parquet need none"

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Collection, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,27 +11,44 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from slamcmp.errors import NoSampleError, SlamcmpError
-from slamcmp.experiment.config.component import Component
-from slamcmp.experiment.gathering.inspection import FINDINGS, Inspector
+from slamcmp.experiment.gathering.cells import (
+    Keyed,
+    joined,
+    names_of_rows,
+    row_without_result,
+    run_keys,
+    together,
+    trial_columns,
+    typed,
+)
+from slamcmp.experiment.gathering.cells import cell as _cell  # noqa: F401  As tests of tables know it.
+from slamcmp.experiment.gathering.divergences import Divergences
+from slamcmp.experiment.gathering.inspection import Inspector
 from slamcmp.experiment.gathering.own_names import own_names, with_own_names
-from slamcmp.experiment.job.fault import Fault
-from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, truth_path
+from slamcmp.experiment.job.fault import OUTSIDE, Fault
+from slamcmp.experiment.job.task import run_path, stream_path, truth_path
 from slamcmp.experiment.planning.samples import Samples
+from slamcmp.experiment.planning.settled import kinds, settled_keys
+from slamcmp.experiment.planning.settled import kinds as _kinds  # noqa: F401  As tests of tables know it.
 from slamcmp.experiment.planning.trials import RunJob, Trial
-from slamcmp.metrics import frame_table, landmark_table, metric_columns, reference_truth, score_run
+from slamcmp.metrics import frame_table, landmark_table, reference_truth, score_run
 from slamcmp.metrics.association import association_counts, association_scores
-from slamcmp.metrics.information import KL, last_kl, median_kl
-from slamcmp.results.runs.of_runs import COST_COLUMNS, outcome
-from slamcmp.results.runs.posteriors import kl_series, load_posteriors
+from slamcmp.results.runs.gathered import AboutStream, GatheredParts, Settled
+from slamcmp.results.runs.of_runs import outcome
 from slamcmp.results.runs.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.support.messages import describe, told
 from slamcmp.support.opened_files import UNKNOWN, changed
 from slamcmp.types import GroundTruth
 
-KEYS = ("trial", "label", "back_end", "seed", "digest", "own_gate")
 UNREADABLE = Fault(
     "missing", "the file of its result is gone or cannot be read; the same command runs it again"
 )
+
+
+BLOCK_RUNS = 256
+"""Rows of runs that are gathered before those of settled trials are put away."""
+PARTS = 64
+"""Of a large sweep, some: each is a few files."""
 
 
 class Tables(NamedTuple):
@@ -44,6 +60,8 @@ class Tables(NamedTuple):
     warnings: tuple[str, ...] = ()
     fault: SlamcmpError | None = None
     """Why rows are marked that have a result all the same."""
+    streams: tuple[AboutStream, ...] = ()
+    """What is known about each stream."""
 
 
 def gather(
@@ -68,20 +86,37 @@ def gather(
     marked in its rows: nothing that was computed is lost over it.
     """
     gathering = _Gathering(trials, folder, reference, stream_faults, lost or {}, pending)
+    parts, key_of = GatheredParts(folder), settled_keys(trials, reference)
+    block = max(BLOCK_RUNS, sum(len(trial.runs) for trial in trials) // PARTS)
+    pieces: list[dict[str, pd.DataFrame]] = []
+    settled: list[tuple[Trial, Settled]] = []
     for trial in trials:
+        known = parts.find(key_of(trial)) if parts.trials else None
+        if known is not None and gathering.takes(trial, known):
+            settled.append((trial, known))
+            continue
         gathering.add(trial)
-    rows = gathering.rows
+        if len(gathering.rows) >= block:
+            pieces.append(gathering.flushed(parts, key_of))
+    if settled:
+        rows, damaged = parts.rows([(trial.number, known) for trial, known in settled])
+        pieces.append(rows)
+        for trial in [trial for trial, _ in settled if trial.number in set(damaged)]:
+            gathering.add(trial)
+    pieces.append(gathering.flushed(None, key_of))
     warnings = list(gathering.warnings)
+    of_trials = typed(together([each["trials"] for each in pieces if "trials" in each]))
+    of_trials = of_trials[trial_columns(trials, list(of_trials.columns))]
     tables: list[pd.DataFrame] = []
-    for name, found in (("frames", gathering.frames), ("landmarks", gathering.landmarks)):
+    for name in ("frames", "landmarks"):
         try:
-            tables.append(_joined(found, trials))
+            tables.append(typed(together([each.pop(name) for each in pieces if name in each])))
         except MemoryError:
-            found.clear()
-            tables.append(_joined([], trials))
+            tables.append(joined([], trials))
             warnings.append(f"there is not enough memory for the table of {name}: it is empty")
-    of_trials = _typed(pd.DataFrame(rows, columns=_columns(trials, rows)))
-    return Tables(of_trials, tables[0], tables[1], tuple(warnings), gathering.fault)
+    return Tables(
+        of_trials, tables[0], tables[1], tuple(warnings), gathering.fault, tuple(gathering.streams.values())
+    )
 
 
 class _Gathering:
@@ -98,13 +133,54 @@ class _Gathering:
     ) -> None:
         self._folder, self._reference = folder, reference
         self._stream_faults, self._lost, self._pending = stream_faults, lost, pending
-        self._kinds = _kinds(trials)
+        self._trials = trials
+        self._kinds = kinds(trials)
         self._samples = Samples()
         self.rows: list[dict[str, Any]] = []
-        self.frames: list[pd.DataFrame] = []
-        self.landmarks: list[pd.DataFrame] = []
+        self.frames: list[Keyed] = []
+        self.landmarks: list[Keyed] = []
         self.warnings: dict[str, None] = {}
         self.fault: SlamcmpError | None = None
+        self.streams: dict[str, AboutStream] = {}
+        self._settled: list[tuple[Trial, str, bool]] = []
+        """Since the last flush: trials whose rows stay as they are, digest, and whether all is well."""
+
+    def takes(self, trial: Trial, known: Settled) -> bool:
+        """Whether a trial's rows can be taken as they were gathered before."""
+        keys = [job.key for job in trial.runs]
+        if trial.stream.key in self._stream_faults or any(
+            key in self._lost or key in self._pending for key in keys
+        ):
+            return False
+        try:
+            self._samples.add(trial, known.digest)
+        except NoSampleError:
+            return False
+        self.streams[trial.stream.key] = known.stream
+        return True
+
+    def flushed(self, parts: GatheredParts | None, key_of: Callable[[Trial], str]) -> dict[str, pd.DataFrame]:
+        """The tables of what was added since, which is forgotten; settled trials are kept in ``parts``."""
+        tables = {
+            "trials": typed(
+                pd.DataFrame(self.rows, columns=trial_columns(self._trials, names_of_rows(self.rows)))
+            )
+        }
+        for name, found in (("frames", self.frames), ("landmarks", self.landmarks)):
+            # Where there is no memory for it, it is told at the end, and nothing is kept of this piece.
+            with contextlib.suppress(MemoryError):
+                tables[name] = joined(found, self._trials)
+            found.clear()
+        settled, self.rows, self._settled = self._settled, [], []
+        if parts is not None and settled and len(tables) == 3:
+            of_trials = [
+                (key_of(trial), _files(trial), digest, is_ok, self.streams[trial.stream.key])
+                for trial, digest, is_ok in settled
+            ]
+            numbers = [trial.number for trial, _, _ in settled]
+            parts.add(of_trials, tables, numbers)
+            parts.pack([f"streams/{digest}.npz" for _, digest, _ in settled])
+        return tables
 
     def add(self, trial: Trial) -> None:
         """The rows of one trial: one a run, but for those that were not come to."""
@@ -125,6 +201,11 @@ class _Gathering:
             file = stream_path(self._folder, known.digest)
             inspector = Inspector(file, truth, borrowed, known.own_ids)
         digest = "" if known is None else known.digest
+        if known is not None:
+            self.streams[trial.stream.key] = about_stream(known)
+            if self._stays(trial, known, found):
+                is_ok = all(run.run.status == "ok" for run in found.values() if isinstance(run, StoredRun))
+                self._settled.append((trial, digest, is_ok))
         # In the order of the file, whatever became of each.
         for job in trial.runs:
             run = found.get(job.key)
@@ -139,9 +220,27 @@ class _Gathering:
                 try:
                     self._add_run(trial, job, run, known, truth, name, inspector)
                 except Exception as error:
+                    self._settled = [each for each in self._settled if each[0] is not trial]
                     self._add_fault(trial, job, _not_gathered(error), digest)
             elif isinstance(run, Fault):
                 self._add_fault(trial, job, run, digest)
+
+    @staticmethod
+    def _stays(trial: Trial, known: StoredTruth, found: Mapping[str, StoredRun | Fault]) -> bool:
+        """Whether its rows depend on nothing but what names its jobs, and no job is to be done again."""
+        runs = [found.get(job.key) for job in trial.runs]
+        return (
+            bool(known.digest)
+            and not known.inputs
+            and all(job.record is None for job in trial.runs)
+            and all(
+                isinstance(run, StoredRun)
+                and run.run.status not in OUTSIDE
+                and not run.inputs
+                and run.run.digest == known.digest
+                for run in runs
+            )
+        )
 
     def _mark_other_streams(
         self, trial: Trial, known: StoredTruth, found: dict[str, StoredRun | Fault]
@@ -179,7 +278,7 @@ class _Gathering:
         fault = Fault("missing", "what is known about its stream is gone or cannot be read")
         try:
             known = load_truth(truth_path(self._folder, trial.stream.key))
-            divergences = _Divergences(trial, self._folder)
+            divergences = Divergences(trial, self._folder)
         except MemoryError as error:
             known, fault = None, _not_gathered(error)
         for job in trial.runs:
@@ -199,7 +298,7 @@ class _Gathering:
                     found[job.key] = _not_gathered(error)
         return known, found
 
-    def _read_run(self, job: RunJob, known: StoredTruth, divergences: _Divergences) -> StoredRun | Fault:
+    def _read_run(self, job: RunJob, known: StoredTruth, divergences: Divergences) -> StoredRun | Fault:
         run = load_run(run_path(self._folder, job.key))
         if run is None:
             return UNREADABLE
@@ -221,7 +320,7 @@ class _Gathering:
         inspector: Inspector,
     ) -> None:
         borrowed = truth is not None and known.truth is None
-        keys = _keys(trial, job.back_end, run.run.digest, self._kinds)
+        keys = run_keys(trial, job.back_end, run.run.digest, self._kinds)
         scores = score_run(run.run, truth, reference=True) if borrowed else run.scores
         recorded = {} if job.record is None else {"record": job.record.describe()}
         row = {
@@ -239,15 +338,12 @@ class _Gathering:
         of_landmarks = landmark_table(run.run, truth, reference=borrowed)
         if known.own_ids is not None:
             of_landmarks["id"] = own_names(of_landmarks["id"].to_numpy(), known.own_ids)
-        for table in (of_frames, of_landmarks):
-            for position, (key, value) in enumerate(keys.items()):
-                table.insert(position, key, value)
         self.rows.append(row)
-        self.frames.append(of_frames)
-        self.landmarks.append(of_landmarks)
+        self.frames.append((keys, of_frames))
+        self.landmarks.append((keys, of_landmarks))
 
     def _add_fault(self, trial: Trial, job: RunJob, fault: Fault, digest: str = "") -> None:
-        row = _row_without_result(_keys(trial, job.back_end, digest, self._kinds), fault)
+        row = row_without_result(run_keys(trial, job.back_end, digest, self._kinds), fault)
         recorded = {} if job.record is None else {"record": job.record.describe()}
         self.rows.append({**row, **recorded})
 
@@ -263,32 +359,6 @@ def _not_gathered(error: Exception) -> Fault:
     return Fault("missing", f"its result could not be put into the tables: {describe(error)}")
 
 
-class _Divergences:
-    """Compares the posteriors that a trial's runs kept with those of its batch solution."""
-
-    def __init__(self, trial: Trial, folder: Path) -> None:
-        self._folder = folder
-        named = {job.record.divergence_from for job in trial.runs if job.record is not None}
-        self._reference = [
-            posterior
-            for job in trial.runs
-            if job.back_end.label in named
-            for posterior in load_posteriors(posteriors_path(folder, job.key))
-        ]
-
-    def added(self, job: RunJob, stored: StoredRun) -> StoredRun:
-        """The run with its divergence as a series and as scores."""
-        if not self._reference:
-            return stored
-        own = load_posteriors(posteriors_path(self._folder, job.key))
-        run = stored.run
-        series = kl_series(own, self._reference, run.online.t.size)
-        run = replace(run, diagnostics={**run.diagnostics, KL: series})
-        return replace(
-            stored, run=run, scores={**stored.scores, KL: last_kl(run), f"{KL}_median": median_kl(run)}
-        )
-
-
 def trial_truth(
     known: StoredTruth, runs: Sequence[StoredRun], reference: str | None
 ) -> tuple[GroundTruth | None, str]:
@@ -302,71 +372,13 @@ def trial_truth(
     return None, "none"
 
 
-def _keys(trial: Trial, choice: Component, digest: str, kinds: Mapping[str, str]) -> dict[str, Any]:
-    return {
-        "trial": trial.number,
-        "label": choice.label,
-        "back_end": choice.name,
-        "seed": trial.seed,
-        **({"recording": trial.recording} if trial.recording else {}),
-        "digest": digest,
-        # Where there is a number, the run used its own choice of that stream's observations.
-        "own_gate": math.nan if choice.own_gate is None else choice.own_gate,
-        **{path: _cell(value, kinds[path]) for path, value in trial.swept.items()},
-    }
+def about_stream(known: StoredTruth) -> AboutStream:
+    """What the manifest sums up of it."""
+    return AboutStream(
+        dict(known.front_end), tuple(known.warnings), known.truth is not None, known.error is not None
+    )
 
 
-def _row_without_result(keys: Mapping[str, Any], fault: Fault) -> dict[str, Any]:
-    return {
-        **keys,
-        "status": fault.status,
-        "message": fault.message,
-        "completion": 0.0,
-        "frames": 0,
-        "reference": "none",
-        **dict.fromkeys(COST_COLUMNS, math.nan),
-        **FINDINGS,
-    }
-
-
-def _columns(trials: Sequence[Trial], rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    swept = list(trials[0].swept) if trials else []
-    outcome = ["status", "message", "completion", "frames", "reference", *COST_COLUMNS]
-    columns = [*KEYS, *swept, *outcome, *FINDINGS, *metric_columns()]
-    return list(dict.fromkeys([*columns, *(name for row in rows for name in row)]))
-
-
-def _joined(tables: Sequence[pd.DataFrame], trials: Sequence[Trial]) -> pd.DataFrame:
-    filled = [table for table in tables if len(table)]
-    if not filled:
-        swept = list(trials[0].swept) if trials else []
-        return tables[0].iloc[:0] if tables else pd.DataFrame(columns=[*KEYS, *swept])
-    return _typed(pd.concat(filled, ignore_index=True))
-
-
-def _typed(table: pd.DataFrame) -> pd.DataFrame:
-    # Names of landmarks may take all 64 bits; a float would round them.
-    whole = {"trial": "int64", "seed": "Int64", "departure_landmark": "Int64"}
-    return table.astype({name: kind for name, kind in whole.items() if name in table})
-
-
-def _kinds(trials: Sequence[Trial]) -> dict[str, str]:
-    """What each swept path's column holds: ``bool``, ``number``, or ``text`` where kinds are mixed."""
-    found: dict[str, set[str]] = {}
-    for trial in trials:
-        for path, value in trial.swept.items():
-            known = found.setdefault(path, set())
-            if isinstance(value, bool):
-                known.add("bool")
-            elif isinstance(value, int | float):
-                known.add("number")
-            elif value is not None:
-                known.add("text")
-    return {path: next(iter(known)) if len(known) == 1 else "text" for path, known in found.items()}
-
-
-def _cell(value: Any, kind: str) -> Any:
-    """A swept value as a column of that kind can hold it; null is a missing one."""
-    if value is None:
-        return math.nan if kind == "number" else None
-    return json.dumps(value) if kind == "text" and not isinstance(value, str) else value
+def _files(trial: Trial) -> list[str]:
+    """What a trial's rows are made of, by the names in the results folder."""
+    return [f"streams/{trial.stream.key}.truth.npz", *(f"runs/{job.key}.npz" for job in trial.runs)]

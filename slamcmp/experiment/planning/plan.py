@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,9 +9,12 @@ from pathlib import Path
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.job.fault import OUTSIDE
 from slamcmp.experiment.job.task import run_path, stream_path, truth_path
+from slamcmp.experiment.planning.settled import settled_keys
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial, make_trials
+from slamcmp.results.runs.gathered import GatheredParts
 from slamcmp.results.runs.run_file import load_run, load_truth
 from slamcmp.support.opened_files import unchanged
+from slamcmp.support.packed_files import names_in
 
 
 @dataclass
@@ -44,9 +46,17 @@ def plan_experiment(
     """
     plan = Plan(make_trials(experiment) if trials is None else trials)
     seen: set[str] = set(tried)
-    streams_there, runs_there = _names(folder / "streams"), _names(folder / "runs")
+    streams_there, runs_there = names_in(folder / "streams"), names_in(folder / "runs")
+    parts = GatheredParts(folder)
+    key_of = settled_keys(plan.trials, experiment.reference) if parts.trials else None
     for trial in plan.trials:
         if trial.stream.key in seen:
+            continue
+        settled = None if key_of is None else parts.find(key_of(trial))
+        if settled is not None and (settled.is_ok or not rerun_failed):
+            new = {job.key for job in trial.runs} - seen
+            seen |= new
+            plan.reused += len(new)
             continue
         try:
             path = truth_path(folder, trial.stream.key)
@@ -69,17 +79,10 @@ def plan_experiment(
             else:
                 plan.runs[job.key] = job
                 waiting = True
-        if gone or (waiting and known is not None and not stream_path(folder, known.digest).is_file()):
+        lacks_stream = known is not None and stream_path(folder, known.digest).name not in streams_there
+        if gone or (waiting and lacks_stream):
             plan.streams[trial.stream.key] = trial.stream
     return plan
-
-
-def _names(folder: Path) -> set[str]:
-    """What lies there: one look at a folder, where a look for each of a sweep's jobs takes a minute."""
-    try:
-        return set(os.listdir(folder))
-    except OSError:
-        return set()
 
 
 def _has_result(path: Path, rerun_failed: bool) -> bool:

@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.npz import read_arrays
+from slamcmp.support.packed_files import content
 from slamcmp.types import Association, BoolArray, GroundTruth, IntArray, Landmarks, Run, Trajectory
 from slamcmp.types.columns import parts
 
@@ -251,8 +253,7 @@ def _load(
     path: Path, expected: str, rebuild: Callable[[Mapping[str, Any], Mapping[str, Any]], Stored]
 ) -> Stored | None:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays: dict[str, Any] = read_arrays(content(path))
         header = json.loads(arrays.pop("header").tobytes())
         return rebuild(header, arrays) if header["format"] == expected else None
     except MemoryError:

@@ -11,6 +11,7 @@ from slamcmp.registry import did_you_mean
 from slamcmp.results.grid import labels, rows_of
 from slamcmp.results.runs.run_file import load_run
 from slamcmp.results.store import Results
+from slamcmp.support.packed_files import names_in
 from slamcmp.types import Run
 
 
@@ -52,8 +53,8 @@ def stored_run(results: Results, label: str | None = None, trial: int | None = N
 def _found(results: Results, row: pd.Series, frames: pd.DataFrame) -> Run:
     """The file whose run is the table's, to the last bit: others of the stream may lie beside it."""
     found: Run | None = None
-    for path in sorted((results.folder / "runs").glob("*.npz")):
-        stored = None if path.name.endswith(".posteriors.npz") else load_run(path)
+    for name in sorted(names_in(results.folder / "runs")):
+        stored = None if name.endswith(".posteriors.npz") else load_run(results.folder / "runs" / name)
         if stored is None or stored.run.digest != row["digest"]:
             continue
         run = stored.run

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from slamcmp.results.runs.run_file import StoredTruth, load_truth
+from slamcmp.support.packed_files import names_in
 
 
 def known_streams(folder: Path) -> dict[str, StoredTruth]:
@@ -14,7 +15,7 @@ def known_streams(folder: Path) -> dict[str, StoredTruth]:
 
 
 def _stored(folder: Path) -> Iterator[StoredTruth]:
-    for path in sorted((folder / "streams").glob("*.truth.npz")):
-        known = load_truth(path)
+    for name in sorted(names_in(folder / "streams")):
+        known = load_truth(folder / "streams" / name) if name.endswith(".truth.npz") else None
         if known is not None:
             yield known
