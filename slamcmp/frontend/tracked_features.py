@@ -11,6 +11,7 @@ from annotated_types import Ge, Gt, Interval, Le, Lt
 from slamcmp.errors import UsageError
 from slamcmp.randomness import random_streams
 from slamcmp.registry import front_ends
+from slamcmp.support.memory import keep_freed_memory
 from slamcmp.types import Frame, FrontEndReport, Log, MeasurementStream, Problem
 
 if TYPE_CHECKING:
@@ -115,6 +116,7 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
     events: Counter[str] = Counter()
     skipped: Counter[str] = Counter()
     times: dict[str, list[float]] = {}
+    keep_freed_memory()
     with one_thread():
         for k, t in enumerate(log.t.tolist()):
             image = log.images[k]

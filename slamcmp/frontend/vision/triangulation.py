@@ -102,32 +102,29 @@ def triangulate(
     ``back`` is 0 there, and it is used.
     """
     motion = history.camera_motion(camera)[back]
-    views_of = _Views(camera, motion, (camera.T_camera_body @ history.T_view)[back, :3, :3])
+    # A view without a pixel keeps its place in the arrays and loses its weight: all its derivatives are 0.
+    views_of = _Views(camera, motion, (camera.T_camera_body @ history.T_view)[back, :3, :3], used)
     S = history.S[back]
     seen = camera.rays(pixels)[..., :2]
     count, views = used.shape
     row = np.arange(2 * views)
     earlier = row[:, None] // 2 <= row // 2
-    pixel_variances = np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views)
-    # A view without a pixel keeps its place in the arrays and loses its weight.
     busy = np.repeat(used, 2, axis=1)
-    not_both_busy, idle = ~(busy[:, :, None] & busy[:, None, :]), ~busy
-    complete = bool(used.all())
+    pixel_variances = np.tile((sigma_px / np.array([camera.fx_px, camera.fy_px])) ** 2, views)
+    variances = np.where(busy, pixel_variances, 1.0)
     w = np.concatenate([seen[:, -1], _inverse_depth(motion, seen, used)[:, None]], axis=1)
     H_and_y, ridge = np.empty((count, 2 * views, 4)), _RIDGE * np.eye(3)
+    H, y = H_and_y[..., :3], H_and_y[..., 3]
     for _ in range(_STEPS):
-        predicted, H, G, depth = views_of.linearised(w)
+        predicted, by_w, G, depth = views_of.linearised(w)
+        H_and_y[..., :3] = by_w.reshape(H.shape)
+        np.subtract(seen, predicted, out=predicted)
+        np.multiply(predicted.reshape(y.shape), busy, out=y)
         # Two views share the increments after the later one, so its S stands between their derivatives.
         G_all = G.reshape(count, 2 * views, 6)
         covariance = G_all @ (G @ S).reshape(G_all.shape).mT
         covariance = np.where(earlier, covariance, covariance.mT)
-        covariance[:, row, row] += pixel_variances
-        H, y = H.reshape(count, 2 * views, 3), (seen - predicted).reshape(count, 2 * views)
-        if not complete:
-            covariance[not_both_busy] = 0.0
-            covariance[:, row, row] += idle
-            H, y = np.where(busy[:, :, None], H, 0.0), np.where(busy, y, 0.0)
-        H_and_y[..., :3], H_and_y[..., 3] = H, y
+        covariance[:, row, row] += variances
         weighted = np.linalg.solve(covariance, H_and_y)
         information = H.mT @ weighted[..., :3] + ridge
         w = w + np.linalg.solve(information, H.mT @ weighted[..., 3:])[..., 0]
@@ -160,12 +157,16 @@ class _Views:
         camera: of all views.
         motion: from the present camera frame to a view's camera frame, (m, V, 4, 4).
         body_motion: the rotation from the present body frame to a view's camera frame, (m, V, 3, 3).
+        used: which views count, (m, V); the derivatives of the others are 0.
     """
 
-    def __init__(self, camera: Camera, motion: FloatArray, body_motion: FloatArray) -> None:
+    def __init__(
+        self, camera: Camera, motion: FloatArray, body_motion: FloatArray, used: BoolArray
+    ) -> None:
         self._by_w, self._at_z = motion[..., :3, [0, 1, 3]], motion[..., :3, 2]
         self._by_both = np.concatenate([self._by_w, body_motion], axis=-1)
         self._R_body_camera, self._t_body_camera = camera.T_body_camera[:3, :3], camera.T_body_camera[:3, 3]
+        self._used = used
         self._ray = np.ones((len(motion), 3))
         self._by_perturbation = np.zeros((len(motion), 3, 6))
 
@@ -186,5 +187,5 @@ class _Views:
         P[:, 0, 3] = P[:, 1, 4] = P[:, 2, 5] = w[:, 2]
         # d(x / z) = (dx - (x / z) dz) / z, for both at once.
         projected = self._by_both[..., :2, :] - predicted[..., None] * self._by_both[..., 2:, :]
-        projected /= depth[..., None, None]
+        projected /= np.where(self._used, depth, np.inf)[..., None, None]
         return predicted, projected[..., :3], projected[..., 3:] @ P[:, None], depth
