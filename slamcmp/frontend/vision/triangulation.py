@@ -160,9 +160,7 @@ class _Views:
         used: which views count, (m, V); the derivatives of the others are 0.
     """
 
-    def __init__(
-        self, camera: Camera, motion: FloatArray, body_motion: FloatArray, used: BoolArray
-    ) -> None:
+    def __init__(self, camera: Camera, motion: FloatArray, body_motion: FloatArray, used: BoolArray) -> None:
         self._by_w, self._at_z = motion[..., :3, [0, 1, 3]], motion[..., :3, 2]
         self._by_both = np.concatenate([self._by_w, body_motion], axis=-1)
         self._R_body_camera, self._t_body_camera = camera.T_body_camera[:3, :3], camera.T_body_camera[:3, 3]
