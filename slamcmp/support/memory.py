@@ -43,9 +43,10 @@ def _give_back() -> None:
 def keep_freed_memory() -> None:
     """Keep up to 64 MB that this process frees, instead of handing each image's back to the system.
 
-    An image's arrays are some megabytes, which glibc takes from the system for every image anew: its pages are
-    cleared by the kernel one by one, which took a third of the front end's time. Holds for the process from
-    here on. Other systems' allocators, and settings of the user's own in the environment, are left alone.
+    An image's arrays are some megabytes, which glibc takes from the system for every image anew: its pages
+    are cleared by the kernel one by one, which took a third of the front end's time. Holds for the process
+    from here on. Other systems' allocators, and settings of the user's own in the environment, are left
+    alone.
     """
     if any(name in os.environ for name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_")):
         return
