@@ -40,6 +40,8 @@ USER = "slamcmp_user_"
 _digests: dict[str, str] = {}
 _folders: dict[Path, str] = {}
 """The current package of each user's folder."""
+_libraries: dict[Path, set[str]] = {}
+"""What the files of each user's folder imported that is neither Python's nor beside them, by any way."""
 _lock = threading.RLock()
 around_library_imports: Callable[[], AbstractContextManager[None]] = nullcontext
 """Entered around what a user's module imports and does not lie beside it."""
@@ -84,6 +86,11 @@ def load_user_file(path: Path) -> ModuleType:
                 sys.modules.pop(name, None)
                 raise
         return sys.modules[name]
+
+
+def imported_libraries(folder: Path) -> frozenset[str]:
+    """The libraries that a user's files in this folder have imported in this process, by any way."""
+    return frozenset(_libraries.get(folder.resolve(), ()))
 
 
 def _let_search(folder: Path) -> None:
@@ -239,7 +246,10 @@ def _importer(package: str) -> Callable[..., ModuleType]:
     ) -> ModuleType:
         if level:
             return builtins.__import__(name, globals, locals, fromlist, level)
-        if not is_neighbour(name.partition(".")[0]):
+        top = name.partition(".")[0]
+        if not is_neighbour(top):
+            if top not in sys.stdlib_module_names:
+                _libraries.setdefault(folder, set()).add(top)
             with around_library_imports():
                 return builtins.__import__(name, globals, locals, fromlist, level)
         whole = f"{package}.{name}"

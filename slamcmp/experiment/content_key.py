@@ -60,7 +60,7 @@ class Snapshot:
         return self._code[asked]
 
     def data(self, component: Component) -> DataFiles:
-        """The data files that a source or a back end says it reads."""
+        """The data files that a plug-in says it reads."""
         asked = json.dumps(
             [component.kind, component.spec, component.arguments()], sort_keys=True, default=str
         )
@@ -71,7 +71,7 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class DataFiles:
-    """The data files that a source or a back end says it reads."""
+    """The data files that a plug-in says it reads."""
 
     digests: Mapping[str, str]
     """sha256 by file name, or by path where names are alike."""
@@ -91,12 +91,14 @@ def stream_keys(
 ) -> Callable[[int | None], str]:
     """The keys of the streams that a source and a front end make, by their seeds."""
     snapshot = snapshot or Snapshot()
+    of_front_end = snapshot.data(front_end).digests
     return _hashes(
         {
             "source": [source.name, dict(source.parameters)],
             "front_end": [front_end.name, dict(front_end.parameters)],
             "seed": _OPEN,
             "data": snapshot.data(source).digests,
+            **({"front_end_data": of_front_end} if of_front_end else {}),
             **snapshot.named(stream_code(source, front_end)),
         }
     )
@@ -152,7 +154,7 @@ def run_code(back_end: Component) -> set[Path]:
 
 
 def data_files(component: Component) -> DataFiles:
-    """What a source or a back end says it reads, and the files' content.
+    """What a plug-in says it reads, and the files' content.
 
     Raises:
         MissingDataError: one of them is not there.

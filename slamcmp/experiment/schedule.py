@@ -183,7 +183,7 @@ class Schedule:
             code=job.code,
             data=job.data,
             watched=any("user_file" in plugin.traits for plugin in plugins),
-            declared="user_file" not in plugins[0].traits or "files" in plugins[0].traits,
+            declared=tuple(map(_says_what_it_reads, plugins)),
             shares_process=all(map(_is_own, plugins)),
         )
 
@@ -205,7 +205,7 @@ class Schedule:
             code=job.code,
             data=job.data,
             watched="user_file" in plugin.traits,
-            declared="files" in plugin.traits,
+            declared=(_says_what_it_reads(plugin),),
             shares_process=_is_own(plugin),
         )
 
@@ -367,6 +367,10 @@ def _is_own(plugin: Plugin) -> bool:
     while isinstance(target, functools.partial):
         target = target.func
     return "user_file" not in plugin.traits and str(target.__module__).startswith(f"{PACKAGE.name}.")
+
+
+def _says_what_it_reads(plugin: Plugin) -> bool:
+    return "user_file" not in plugin.traits or "files" in plugin.traits
 
 
 def _log_text(task: Task) -> str:

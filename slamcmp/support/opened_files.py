@@ -26,6 +26,8 @@ UNKNOWN = "?"
 ABSENT = "absent"
 CHANGING = "changed while it was read"
 SYSTEM = ("/proc", "/sys", "/dev", "/etc", "/usr", "/lib", "/lib64", "/bin", "/sbin", "/run")
+WITHOUT_SIZE = ("/proc/", "/sys/")
+_LARGEST = 1 << 16
 CACHES = frozenset({"__pycache__", ".cache", ".config", ".numba_cache", ".git"})
 OTHER_PROGRAMS = {
     "subprocess.Popen": "another program",
@@ -50,6 +52,10 @@ class OpenedFiles:
         """What may have read something that is not among the files."""
         self.calls_c = False
         """Whether functions of a C library were called by hand (ctypes)."""
+        self.vouched = False
+        """Whether what runs at present is somebody's who says what it reads."""
+        self.sizes_known = True
+        """False once a file was opened that has no size, as the system's own ones."""
         self.told_bytes = 0
         """Sizes of the files opened for reading, together, whichever they are."""
         self.reads = UnseenReads(self)
@@ -67,6 +73,16 @@ class OpenedFiles:
             found[path] = digest_of_input(path) if now == at_opening else CHANGING
         return found
 
+    @contextlib.contextmanager
+    def trusted(self) -> Iterator[None]:
+        """What runs meanwhile says what it reads: nobody asks what else it does."""
+        before, self.vouched = self.vouched, True
+        try:
+            with paused():
+                yield
+        finally:
+            self.vouched = before
+
     def has_seen(self, path: str) -> bool:
         """Whether the file is among those that were opened."""
         return os.path.abspath(path) in self._stamps
@@ -82,10 +98,10 @@ class OpenedFiles:
             if not sys._getframe(2).f_code.co_filename.startswith("<frozen importlib"):
                 self._opened("." if arguments[0] is None else arguments[0], "r", 0)
         elif event in ("sqlite3.connect", "ctypes.dlopen"):
-            self.calls_c = self.calls_c or event == "ctypes.dlopen"
+            self.calls_c = self.calls_c or (event == "ctypes.dlopen" and not self.vouched)
             if isinstance(arguments[0], str | bytes) and os.sep in os.fsdecode(arguments[0]):
                 self._opened(arguments[0], "r", 0)
-        elif event in OTHER_PROGRAMS:
+        elif event in OTHER_PROGRAMS and not self.vouched:
             self.unseen[OTHER_PROGRAMS[event]] = None
 
     def _opened(self, path: Any, mode: Any, flags: Any) -> None:
@@ -102,6 +118,21 @@ class OpenedFiles:
             # A file that is not there, or is no file, gives nothing to read.
             with contextlib.suppress(OSError, TypeError, ValueError):
                 self.told_bytes += os.stat(path).st_size
+                if self.reads.going and os.path.abspath(os.fsdecode(path)).startswith(WITHOUT_SIZE):
+                    self._measure(path)
+
+    def _measure(self, path: Any) -> None:
+        """Count a file of the system's, which has no size before it is read."""
+        global _watching
+        before, _watching = _watching, None
+        try:
+            with open(path, "rb", buffering=0) as file:
+                size = len(file.read(_LARGEST))
+            # This look, and what is about to be read.
+            self.told_bytes += 2 * size
+            self.sizes_known = self.sizes_known and 0 < size < _LARGEST
+        finally:
+            _watching = before
 
     def _is_ignored(self, absolute: str) -> bool:
         within = any(absolute == each or absolute.startswith(each + os.sep) for each in self._ignored)

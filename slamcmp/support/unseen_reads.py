@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from collections.abc import Iterator
 from typing import Protocol
 
@@ -37,7 +38,7 @@ class UnseenReads:
         self._told = told
         self._counters: int | None = None
         self._since: tuple[int, int] | None = None
-        self._difference = 0
+        self._difference, self._excess, self._counted = 0, 0, 0
         self._mapped: set[str] = set()
         self._finished = False
         self._looks = 0
@@ -48,10 +49,17 @@ class UnseenReads:
         """Whether all that was read in the counted stretches is known; False where nobody could count."""
         return self._finished and not self._difference and not self._mapped
 
+    @property
+    def more_than_told(self) -> bool:
+        """Whether a file was mapped, or more read than all that was told, read twice over, would make."""
+        return self._finished and (self._excess > self._counted or bool(self._mapped))
+
     @contextlib.contextmanager
     def counted(self) -> Iterator[None]:
         """Count what this process, all of its threads, reads meanwhile."""
         global _counting
+        # The C library reads the time zone once, at the first look at a clock.
+        time.localtime()
         try:
             self._counters = os.open(COUNTERS, os.O_RDONLY)
             before = self._mappings()
@@ -86,7 +94,10 @@ class UnseenReads:
         if self._since is not None:
             (read, told), (read_before, told_before) = self._now(), self._since
             # Either way: a file that was told and not read whole could hide another that was not told.
-            self._difference += abs((read - read_before) - (told - told_before))
+            difference = (read - read_before) - (told - told_before)
+            self._difference += abs(difference)
+            self._excess += max(0, difference)
+            self._counted += told - told_before
             self._since = None
 
     def _now(self) -> tuple[int, int]:

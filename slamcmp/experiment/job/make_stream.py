@@ -6,6 +6,7 @@ import contextlib
 import time
 import traceback
 from collections.abc import Mapping, MutableSequence, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, overload
 
@@ -19,6 +20,7 @@ from slamcmp.metrics.association import association_totals, in_own_names
 from slamcmp.registry import front_ends, sources
 from slamcmp.results.runs.run_file import StoredTruth, save_truth
 from slamcmp.support.messages import describe, told
+from slamcmp.support.opened_files import OpenedFiles
 from slamcmp.support.plugin_models import bind_parameters
 from slamcmp.types import CameraFrame, FloatArray, GroundTruth, Log, MeasurementStream
 
@@ -28,26 +30,56 @@ def make_stream(
     front_end: tuple[str, Mapping[str, Any]],
     seed: int | None,
     heartbeat: MutableSequence[float] | None = None,
+    watched: Watched | None = None,
 ) -> tuple[MeasurementStream, Log]:
     """The stream that a source and a front end, each (name, parameters), make from a seed; and its log.
 
-    ``heartbeat[1]`` is set to the images taken so far.
+    ``heartbeat[1]`` is set to the images taken so far; ``watched`` is who counts what they read.
 
     Raises:
         UsageError: one of them returns something else.
         Exception: whatever they raise.
     """
     seed = 0 if seed is None else seed
-    plugin = sources.get(source[0])
-    log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
+    watched = watched or Watched()
+    with watched.source():
+        plugin = sources.get(source[0])
+        log: Log = plugin.target(seed, **bind_parameters(plugin, dict(source[1])))
     _require(log, Log, "source", plugin.name)
     if log.images is not None and heartbeat is not None:
         knows = hasattr(log.images, "true_pixels")
-        log = replace(log, images=(_CountedWithTruth if knows else _Counted)(log.images, heartbeat))
-    plugin = front_ends.get(front_end[0])
-    stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
+        images = (_CountedWithTruth if knows else _Counted)(log.images, heartbeat, watched)
+        log = replace(log, images=images)
+    with watched.front_end():
+        plugin = front_ends.get(front_end[0])
+        stream: MeasurementStream = plugin.target(log, seed, **bind_parameters(plugin, dict(front_end[1])))
     _require(stream, MeasurementStream, "front end", plugin.name)
     return stream, log
+
+
+class Watched:
+    """Who notes what a source and a front end read without Python's telling of it; nobody by default.
+
+    Args:
+        opened: what Python tells of meanwhile.
+        declared: of the source and of the front end whether somebody vouches for it.
+    """
+
+    def __init__(self, opened: OpenedFiles | None = None, declared: tuple[bool, ...] = (True, True)) -> None:
+        self._opened, self._declared = opened, declared
+
+    def source(self) -> AbstractContextManager[object]:
+        """While the source is at work."""
+        return self._at_work(self._declared[0])
+
+    def front_end(self) -> AbstractContextManager[object]:
+        """While the front end is."""
+        return self._at_work(self._declared[1])
+
+    def _at_work(self, declared: bool) -> AbstractContextManager[object]:
+        if self._opened is None:
+            return contextlib.nullcontext()
+        return self._opened.trusted() if declared else self._opened.reads.counted()
 
 
 def _require(made: object, wanted: type, kind: str, name: str) -> None:
@@ -56,10 +88,15 @@ def _require(made: object, wanted: type, kind: str, name: str) -> None:
 
 
 class _Counted(Sequence[CameraFrame]):
-    """Images that tell how many of them were asked for: making a stream of images takes a while."""
+    """Images that tell how many of them were asked for: making a stream of images takes a while.
 
-    def __init__(self, images: Sequence[CameraFrame], heartbeat: MutableSequence[float]) -> None:
-        self._images, self._heartbeat = images, heartbeat
+    They are read when the front end asks for them, and are the source's business all the same.
+    """
+
+    def __init__(
+        self, images: Sequence[CameraFrame], heartbeat: MutableSequence[float], watched: Watched
+    ) -> None:
+        self._images, self._heartbeat, self._watched = images, heartbeat, watched
 
     def __len__(self) -> int:
         return len(self._images)
@@ -70,7 +107,8 @@ class _Counted(Sequence[CameraFrame]):
     def __getitem__(self, k: slice) -> Sequence[CameraFrame]: ...
     def __getitem__(self, k: int | slice) -> CameraFrame | Sequence[CameraFrame]:
         self._heartbeat[1] += 1
-        return self._images[k]
+        with self._watched.source():
+            return self._images[k]
 
 
 class _CountedWithTruth(_Counted):
@@ -105,7 +143,8 @@ def truth_of_stream(truth: GroundTruth | None, stream: MeasurementStream) -> Gro
 def store_stream(task: Task, heartbeat: MutableSequence[float]) -> MeasurementStream | None:
     """Make the stream of a stream job and leave it, and what is known about it, in the results folder."""
     with held_to_plan(task) as opened:
-        stream, known = _known_stream(task, heartbeat)
+        watched = Watched(opened, task.declared) if task.watched else None
+        stream, known = _known_stream(task, heartbeat, watched)
     heartbeat[3] = time.monotonic()
     if stream is None:
         require_unchanged(task)
@@ -113,21 +152,29 @@ def store_stream(task: Task, heartbeat: MutableSequence[float]) -> MeasurementSt
         save_stream(stream, stream_path(task.folder, stream.digest))
     unseen = unseen_readers(task, opened)
     if unseen:
-        warning = (
-            f"the source is made anew each time, for it uses {unseen}, which may read files that nobody "
-            "sees; name them with @sources.register(..., files=...) and it is kept"
-        )
-        known = replace(known, warnings=(*known.warnings, warning))
+        known = replace(known, warnings=(*known.warnings, _made_anew(task.declared, unseen)))
     save_truth(replace(known, inputs=inputs(task, opened)), task.result)
     return stream
 
 
+def _made_anew(declared: tuple[bool, ...], unseen: str) -> str:
+    kinds = [kind for kind, says in zip(("source", "front end"), declared, strict=True) if not says]
+    registries = " and ".join(f"@{kind.replace(' ', '_')}s.register(..., files=...)" for kind in kinds)
+    are, they_use, they_are = (
+        ("is", "it uses", "it is") if len(kinds) == 1 else ("are", "they use", "they are")
+    )
+    return (
+        f"the {' and the '.join(kinds)} {are} made anew each time, for {they_use} {unseen}, which may read "
+        f"files that nobody sees; name them with {registries} and {they_are} kept"
+    )
+
+
 def _known_stream(
-    task: Task, heartbeat: MutableSequence[float]
+    task: Task, heartbeat: MutableSequence[float], watched: Watched | None
 ) -> tuple[MeasurementStream | None, StoredTruth]:
     """The stream of a stream job, and what is known about it; None where it cannot be made."""
     try:
-        stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed, heartbeat)
+        stream, log = make_stream(task.plugins[0], task.plugins[1], task.seed, heartbeat, watched)
         truth = truth_of_stream(log.truth, stream)
         totals = {} if stream.report is None else stream.report.totals()
         if log.truth is not None and truth is not None and truth.outliers is not None:

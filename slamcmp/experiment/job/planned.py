@@ -8,12 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slamcmp.experiment.job.task import Task
-from slamcmp.loaded_code import loaded_digests
+from slamcmp.loaded_code import imported_libraries, loaded_digests
 from slamcmp.support.code_version import PACKAGE, foreign_imports, stamp
 from slamcmp.support.opened_files import UNKNOWN, OpenedFiles, watched
 
 SEEN = frozenset({"numpy", "scipy", "slamcmp"})
 """Libraries that open files through Python, which tells of it."""
+MAPPERS = frozenset({"polars", "pyarrow", "netCDF4", "tables", "torch", "zarr"})
+"""Libraries that map files into memory and let them go: no counter counts what is read so."""
 
 
 class OutdatedError(Exception):
@@ -97,18 +99,24 @@ def inputs(task: Task, opened: OpenedFiles) -> dict[str, str]:
 def unseen_readers(task: Task, opened: OpenedFiles) -> str:
     """What may have read files for a user's plug-in without anybody seeing it; empty where nothing did.
 
-    A source often reads through libraries; of a back end the bytes are counted.
+    The bytes are counted, so that one that only computes with a library costs no result; where nobody could
+    count, what it imports tells.
     """
-    if task.declared:
+    if all(task.declared):
         return ""
     own = [Path(path) for path in task.code if not Path(path).is_relative_to(PACKAGE)]
-    libraries = sorted({name for path in own for name in foreign_imports(path)} - SEEN)
+    named = {name for path in own for name in foreign_imports(path)}
+    named |= {name for path in own for name in imported_libraries(path.parent)}
+    libraries = sorted(named - SEEN)
     if opened.calls_c:
         libraries.append("a C library")
     # What was loaded before, in a process that does more than one job, nobody counted.
     fresh = not any(str(path) in opened.loaded_before for path in own)
-    if task.kind == "run" and fresh and opened.reads.nothing:
+    if fresh and opened.reads.nothing and MAPPERS.isdisjoint(libraries):
         libraries = []
+    elif not libraries and opened.sizes_known and opened.reads.more_than_told:
+        # A library that no import statement names.
+        libraries = ["a library in C"]
     return ", ".join([*libraries, *opened.unseen])
 
 

@@ -42,8 +42,9 @@ class Task:
     """What each declared data file looked like when it was hashed."""
     watched: bool = False
     """Whether to note which other files are read: plug-ins of users do not declare them all."""
-    declared: bool = False
-    """Whether a user's plug-in says which files it reads: its author vouches for what nobody sees."""
+    declared: tuple[bool, ...] = (False,)
+    """Of each plug-in whether somebody vouches for what nobody sees: it is our own, or its author says which
+    files it reads."""
     shares_process: bool = False
     """Whether other such jobs may run before and after it in one process: all its plug-ins are our own."""
 

@@ -77,7 +77,7 @@ def make_trials(experiment: Experiment) -> list[Trial]:
         made_by = snapshot.code(stream_code(source, front_end))
         run_by = [snapshot.code(run_code(each)) for each in back_ends]
         key_of_stream = stream_keys(source, front_end, snapshot)
-        data = snapshot.data(source).stamps
+        data = {**snapshot.data(source).stamps, **snapshot.data(front_end).stamps}
         of_runs = [
             (run_keys(each, *limits, recording, snapshot), each, code, snapshot.data(each).stamps)
             for each, code in zip(back_ends, run_by, strict=True)
