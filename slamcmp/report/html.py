@@ -22,6 +22,7 @@ from slamcmp.report.figures.draw import Drawn, each_figure, fault_text, figure_b
 from slamcmp.report.live import live_data, live_figures, packed, plotly_script
 from slamcmp.report.published import order_rows, value_rows
 from slamcmp.results.answers.answer import answer
+from slamcmp.results.answers.sweep_matrix import sweep_matrices
 from slamcmp.results.grid import reference_name, swept_columns, value_text
 from slamcmp.results.judgements.certainty import certainty_table
 from slamcmp.results.judgements.summary import paired_table, summary_columns, summary_intervals, summary_table
@@ -110,6 +111,7 @@ def report_html(results: Results) -> str:
         description=manifest.get("description") or "",
         reference=reference_name(results),
         answer=answer(results),
+        matrices=sweep_matrices(results),
         cautions=cautions(results),
         unfinished=unfinished,
         more_unfinished=more_unfinished,
@@ -239,7 +241,9 @@ def _embed(drawn: Drawn) -> ReportFigure:
     shown = ReportFigure(drawn.name, drawn.title, drawn.caption, sources, drawn.reason)
     if drawn.table is None:
         return shown
-    return replace(shown, headers=tuple(drawn.table.columns), rows=tuple(_rows(drawn.table, [])))
+    words = parameters_in_words([name for name in map(str, drawn.table.columns) if "." in name])
+    headers = tuple(words.get(name, name) for name in map(str, drawn.table.columns))
+    return replace(shown, headers=headers, rows=tuple(_rows(drawn.table, [])))
 
 
 def _data_uri(content: bytes, kind: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from slamcmp.results.store import Results
+from slamcmp.results.words import parameters_in_words, setting_in_words
 
 
 def labels(results: Results) -> list[str]:
@@ -75,18 +76,20 @@ def middle_point(results: Results) -> dict[str, Any]:
 
 
 def trial_name(results: Results, trial: int) -> str:
-    """``trial 3 (seed 4, source.range_sigma_m = 0.1)``."""
+    """``trial 3 (seed 4, range sigma = 0.1 m)``."""
     row = results.trials[results.trials["trial"] == trial].iloc[0]
     parts = [] if pd.isna(row["seed"]) else [f"seed {int(row['seed'])}"]
     if "recording" in row:
         parts = [str(row["recording"])]
-    parts += [f"{path} = {value_text(row[path])}" for path in swept_columns(results.trials)]
+    point = point_name({path: row[path] for path in swept_columns(results.trials)})
+    parts += [point] if point else []
     return f"trial {trial}" + (f" ({', '.join(parts)})" if parts else "")
 
 
 def point_name(point: Mapping[str, Any]) -> str:
-    """``source.range_sigma_m = 0.1``; empty without a sweep."""
-    return ", ".join(f"{path} = {value_text(value)}" for path, value in point.items())
+    """``range sigma = 0.1 m``: the swept parameters in words; empty without a sweep."""
+    words = parameters_in_words(point)
+    return ", ".join(setting_in_words(words[path], value_text(value)) for path, value in point.items())
 
 
 def value_text(value: Any) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from slamcmp.results.grid import at_point, grid_points, swept_columns, value_text
+from slamcmp.results.grid import at_point, grid_points, point_name, swept_columns
 from slamcmp.results.store import Results
 
 NOT_RUN = ("missing", "killed")
@@ -157,6 +157,6 @@ def _named(own: pd.DataFrame) -> str:
     texts = []
     for row in own.to_dict("records"):
         seed = "" if pd.isna(row["seed"]) else f"seed {int(row['seed'])}"
-        place = ", ".join(f"{path} = {value_text(row[path])}" for path in swept)
+        place = point_name({path: row[path] for path in swept})
         texts.append(" at ".join(part for part in (seed, place) if part))
     return ", ".join(texts)

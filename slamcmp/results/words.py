@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 UNITS = {
@@ -48,6 +49,21 @@ def parameters_in_words(paths: Iterable[str]) -> dict[str, str]:
         path: f"{text} ({SECTIONS[path.partition('.')[0]]})" if said.count(text) > 1 else text
         for path, text in words.items()
     }
+
+
+def setting_in_words(words: str, value: str) -> str:
+    """A parameter's words with a value, which takes the unit.
+
+    >>> setting_in_words("range sigma [m]", "0.1")
+    'range sigma = 0.1 m'
+    >>> setting_in_words("turn [°] of EKF", "none")
+    'turn of EKF = none'
+    """
+    found = re.fullmatch(r"(.*?) \[(.+?)\](.*)", words)
+    if found is None:
+        return f"{words} = {value}"
+    gap = "" if found[2] == "°" else " "
+    return f"{found[1]}{found[3]} = {value}" + (f"{gap}{found[2]}" if value != "none" else "")
 
 
 def _with_unit(name: str) -> str:

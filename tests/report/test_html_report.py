@@ -100,7 +100,7 @@ def test_the_reference_is_not_compared_with_itself(recorded):
 
 def test_cautions_name_failed_runs_and_a_healthy_nis_on_a_wrong_trajectory(swept, recorded):
     found = {caution.title: caution.text for caution in cautions(swept)}
-    assert "ekf at source.range_sigma_m = 2: 1 diverged" in found["2 of 54 runs are not ok"]
+    assert "ekf at range sigma = 2 m: 1 diverged" in found["2 of 54 runs are not ok"]
     assert not [title for title in found if "Too few" in title]
     found = {caution.title: caution.text for caution in cautions(recorded)}
     text = found["A healthy NIS hides a wrong trajectory"]
@@ -129,9 +129,7 @@ def test_caution_needs_a_healthy_nis_and_a_distance(swept):
     )
     assert healthy_caution(with_nis(finished, 1.0, 2.9)) == ""
     text = healthy_caution(with_nis(finished, 1.0, 3.5))
-    assert (
-        "isam2 at source.range_sigma_m = 0.5: NIS/dof 1.00, yet the online position is typically 3.5" in text
-    )
+    assert "isam2 at range sigma = 0.5 m: NIS/dof 1.00, yet the online position is typically 3.5" in text
     assert "(6 of 6 runs)" in text
     assert healthy_caution(with_nis(finished, 1.3, 3.5)) == ""
     assert healthy_caution(with_nis(finished, 0.7, 3.5)) == ""
@@ -163,7 +161,7 @@ def test_caution_for_overconfidence_that_only_all_runs_show(swept):
     text = healthy_caution(near := with_nis(near, 1.0, nees=7.2))
     assert "the last pose's NEES averages 7.2 over 6 runs where a consistent back end stays below 7.1" in text
     # Four finished runs are too few to say.
-    assert "ekf at source.range_sigma_m = 2" not in text
+    assert "ekf at range sigma = 2 m" not in text
 
 
 def test_certainty_table_by_hand(swept):

@@ -82,11 +82,11 @@ def test_the_missing_runs_are_counted_and_named(partial: Results) -> None:
     }
     assert (missing.asked, missing.trials, missing.compared) == (54, 18, 16)
     assert missing.sentence() == (
-        "not complete: 9 of 54 runs are missing (ekf: seed 4 at source.range_sigma_m = 1, "
-        "seed 5 at source.range_sigma_m = 1; isam2: seed 5 at source.range_sigma_m = 1; "
-        "batch: seed 0 at source.range_sigma_m = 2, seed 1 at source.range_sigma_m = 2, "
-        "seed 2 at source.range_sigma_m = 2, seed 3 at source.range_sigma_m = 2, "
-        "seed 4 at source.range_sigma_m = 2, seed 5 at source.range_sigma_m = 2); "
+        "not complete: 9 of 54 runs are missing (ekf: seed 4 at range sigma = 1 m, "
+        "seed 5 at range sigma = 1 m; isam2: seed 5 at range sigma = 1 m; "
+        "batch: seed 0 at range sigma = 2 m, seed 1 at range sigma = 2 m, "
+        "seed 2 at range sigma = 2 m, seed 3 at range sigma = 2 m, "
+        "seed 4 at range sigma = 2 m, seed 5 at range sigma = 2 m); "
         "back ends are compared on the 16 of 18 trials that all of them have"
     )
 

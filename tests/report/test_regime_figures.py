@@ -93,7 +93,7 @@ def test_the_gain_is_the_geometric_mean_of_paired_ratios(results: Results) -> No
     assert measured_by(results) == "EKF"
     figure = plot_gain(results)
     panel = figure.axes[1]
-    assert panel.get_title() == "in_view = 8"
+    assert panel.get_title() == "in view = 8"
     rows = results.trials[results.trials["source.in_view"] == 8.0]
     expected = {}
     for which in ("online", "final"):
@@ -125,7 +125,7 @@ def test_bits_are_differences_of_scores_and_entropies(results: Results) -> None:
     assert row["bits claimed"] == pytest.approx(claimed.mean())
     ms = 1e3 * (ekf["update_s"] + ekf["estimate_s"]) / 25
     assert row["bits per ms"] == pytest.approx(gained.mean() / ms.median())
-    assert plot_frontier(results).axes[0].get_title() == "odometry_scale = 0.3"
+    assert plot_frontier(results).axes[0].get_title() == "odometry scale = 0.3"
 
 
 def test_nobody_beats_who_is_on_the_frontier() -> None:

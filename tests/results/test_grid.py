@@ -38,7 +38,7 @@ def test_a_swept_null_is_a_point_of_its_own() -> None:
     assert at_point(trials, points[0])["online_ate"].tolist() == [1.0, 3.0]
     assert at_point(trials, {GATE: None})["online_ate"].tolist() == [1.0, 3.0]
     assert at_point(trials, points[1])["online_ate"].tolist() == [2.0]
-    assert [point_name(point) for point in points] == [f"{GATE} = none", f"{GATE} = 0.99"]
+    assert [point_name(point) for point in points] == ["gate probability = none", "gate probability = 0.99"]
 
 
 def test_points_come_in_the_tables_order_and_hold_every_path() -> None:
@@ -77,7 +77,7 @@ def test_the_typical_trial_is_one_that_all_finished() -> None:
 def test_names() -> None:
     results = results_of(runs("B", [1.0, 2.0], **{NOISE: 0.1}) + runs("A", [1.0], **{NOISE: 0.1}))
     assert labels(results) == ["B", "A"]
-    assert trial_name(results, 1) == f"trial 1 (seed 1, {NOISE} = 0.1)"
+    assert trial_name(results, 1) == "trial 1 (seed 1, noise scale = 0.1)"
     texts = [value_text(value) for value in (None, math.nan, 0.25, np.float64(2.0), "lm", True)]
     assert texts == ["none", "none", "0.25", "2", "lm", "True"]
     rows = runs("A", [1.0], reference="none") + runs("B", [1.0], reference="batch (final)")

@@ -12,6 +12,7 @@ from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
 from slamcmp.results.grid import has_values, labels, milliseconds_per_frame, reference_name, swept_columns
 from slamcmp.results.store import Results
+from slamcmp.results.words import parameters_in_words
 
 
 @figures.register(
@@ -35,7 +36,9 @@ def plot_budget(results: Results) -> Figure:
         raise NotDrawable("no run has times")
     reference = reference_name(results)
     joined = swept_columns(trials)
-    title = "What does accuracy cost?" + (f" Joined: {' and '.join(joined)}" if joined else "")
+    title = "What does accuracy cost?" + (
+        f" Joined: {' and '.join(parameters_in_words(joined).values())}" if joined else ""
+    )
     figure = style.new_figure(4.75 * len(kinds) + 0.5, 4.4, title)
     grid = figure.subplots(1, len(kinds), sharex=True, sharey=True, squeeze=False)[0]
     shown: set[str] = set()

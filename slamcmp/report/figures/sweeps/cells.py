@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
-from slamcmp.results.grid import swept_columns, value_text
+from slamcmp.results.grid import point_name, swept_columns, value_text
 from slamcmp.results.store import Results
+from slamcmp.results.words import parameter_words
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ class Cells:
                     yield i, j, k, point if self.panel is None else {self.panel: first, **point}
 
     def panel_title(self, i: int) -> str:
-        """``lap_steps = 40``; empty where there is one panel."""
-        return "" if self.panel is None else f"{short(self.panel)} = {value_text(self.panel_values[i])}"
+        """``lap steps = 40``; empty where there is one panel."""
+        return "" if self.panel is None else f"{point_name({self.panel: self.panel_values[i]})}"
 
 
 def cells(results: Results) -> Cells:
@@ -69,13 +70,8 @@ def panels(of: Cells, title: str, *, cell: tuple[float, float]) -> tuple[Figure,
         each.set_yticks(
             range(rows), [value_text(value) for value in of.down_values] if i == 0 else [""] * rows
         )
-        each.set_xlabel(short(of.across))
+        each.set_xlabel(parameter_words(of.across))
         each.tick_params(length=0)
         each.grid(visible=False)
-    axes[0].set_ylabel(short(of.down))
+    axes[0].set_ylabel(parameter_words(of.down))
     return figure, axes
-
-
-def short(path: str) -> str:
-    """``odometry_scale`` of ``source.odometry_scale``: where a figure's cells are few, so is room."""
-    return path.split(".", 1)[-1]

@@ -13,10 +13,11 @@ from slamcmp.metrics.statistics import Interval, mean_interval, ratio_interval
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
-from slamcmp.report.figures.sweeps.cells import Cells, cells, short
+from slamcmp.report.figures.sweeps.cells import Cells, cells
 from slamcmp.results.answers.candidates import find_candidates
-from slamcmp.results.grid import at_point, has_values, labels, milliseconds_per_frame, value_text
+from slamcmp.results.grid import at_point, has_values, labels, milliseconds_per_frame, point_name, value_text
 from slamcmp.results.store import Results
+from slamcmp.results.words import parameter_words
 
 ODOMETRY = "dead_reckoning"
 """The back end that knows nothing but the odometry: what bits are gained over."""
@@ -58,12 +59,12 @@ def plot_gain(results: Results) -> Figure:
     shown = _draw_gain(grid, results, of, base)
     for (i, j), axes in np.ndenumerate(grid):
         axes.axhline(1.0, color="#444444", linewidth=0.8, linestyle=":")
-        where = f"{short(of.down)} = {value_text(of.down_values[j])}"
+        where = point_name({of.down: of.down_values[j]})
         axes.set_title(f"{of.panel_title(i)}, {where}" if of.panel else where, fontsize=8.5)
         axes.set_xticks(range(len(of.across_values)), [value_text(value) for value in of.across_values])
         style.log_axis(axes, "y")
     for axes in grid[-1]:
-        axes.set_xlabel(short(of.across))
+        axes.set_xlabel(parameter_words(of.across))
     for axes in grid[:, 0]:
         axes.set_ylabel("ratio of ATE")
     colours, markers = style.colours(results), style.markers(results)
@@ -131,7 +132,7 @@ def plot_frontier(results: Results) -> Figure:
     middle = {of.down: of.down_values[len(of.down_values) // 2]}
     if of.panel is not None:
         middle[of.panel] = of.panel_values[len(of.panel_values) // 2]
-    at = ", ".join(f"{short(path)} = {value_text(value)}" for path, value in middle.items())
+    at = point_name(middle)
     columns = len(of.across_values)
     figure = style.new_figure(3.0 * columns + 0.6, 4.0, f"Bits for milliseconds, online: {at}")
     grid = figure.subplots(1, columns, squeeze=False, sharex=True, sharey=True)[0]
@@ -140,7 +141,7 @@ def plot_frontier(results: Results) -> Figure:
         rows = at_point(table, {**middle, of.across: value})
         shown |= dict.fromkeys(rows["back end"])
         _draw_frontier(axes, results, rows)
-        axes.set_title(f"{short(of.across)} = {value_text(value)}")
+        axes.set_title(point_name({of.across: value}))
         axes.set_xlabel("ms a frame")
     grid[0].set_ylabel("bits over the odometry")
     grid[0].set_ylim(bottom=0.0)
@@ -169,8 +170,7 @@ def _draw_gain(grid: np.ndarray, results: Results, of: Cells, base: str) -> list
     alone, shown = _odometry_labels(results), []
     known = [label for label in labels(results) if label not in alone]
     online = {
-        _point_name(point): {c.label for c in find_candidates(results, point=point)}
-        for *_, point in of.each()
+        _key(point): {c.label for c in find_candidates(results, point=point)} for *_, point in of.each()
     }
     for index, label in enumerate(known):
         for which, line in style.LINES.items():
@@ -178,7 +178,7 @@ def _draw_gain(grid: np.ndarray, results: Results, of: Cells, base: str) -> list
                 continue
             found = np.full((*grid.shape, len(of.across_values), 3), math.nan)
             for i, j, k, point in of.each():
-                if which == "online" and label not in online[_point_name(point)]:
+                if which == "online" and label not in online[_key(point)]:
                     continue
                 ratio = _against_online(results, point, label, base, which)
                 found[i, j, k] = ratio.estimate, ratio.low, ratio.high
@@ -204,8 +204,8 @@ def _draw_gain(grid: np.ndarray, results: Results, of: Cells, base: str) -> list
     return list(dict.fromkeys(shown))
 
 
-def _point_name(point: dict[str, object]) -> str:
-    """A grid point as a name."""
+def _key(point: dict[str, object]) -> str:
+    """A grid point as a key."""
     return repr(sorted(point.items()))
 
 

@@ -26,6 +26,7 @@ from slamcmp.results.grid import (
     value_text,
 )
 from slamcmp.results.store import Results
+from slamcmp.results.words import parameters_in_words
 
 PANELS = (
     ("ate", "ATE [m]"),
@@ -34,6 +35,8 @@ PANELS = (
     ("ms", "time [ms per frame]"),
 )
 
+MULTIPLES_MAX = 5
+"""Values of the second swept path that columns of panels have room for."""
 DODGE = 0.012
 """Share of the axis between two back ends at one swept value: equal results must not hide one another."""
 
@@ -43,7 +46,8 @@ DODGE = 0.012
     title="Sweep",
     needs=("trials: at least one swept path with two values",),
     caption=(
-        "Median over the finished runs of each grid point; thin bars: quartiles of the runs, thick pale ones "
+        "Median over the finished runs of each grid point (of two swept parameters, a column for each value "
+        "of one); thin bars: quartiles of the runs, thick pale ones "
         "(from six runs on): 95 % interval of the median. Dashed: online "
         "(causal); solid: final (hindsight). Time: updates and estimates of the online answer. Numbers at "
         "the top of the first panel count failed runs, which are in no median."
@@ -62,9 +66,24 @@ def plot_sweep(results: Results) -> Figure:
     ]
     if not panels:
         raise NotDrawable("no run has an error, a NEES or a time to draw against what was swept")
-    middle = middle_point(results)
-    title = " and ".join(paths)
-    figure = style.new_figure(2.9 * len(panels) + 0.6, 2.9 * len(paths) + 1.1, f"Against {title}")
+    figure = _small_multiples(results, trials, paths, panels) or _row_per_path(results, trials, paths, panels)
+    colours, markers = style.colours(results), style.markers(results)
+    keys = [style.line_key(label, color=colours[label], marker=markers[label]) for label in labels(results)]
+    if has_values(trials, ["final_ate"]):
+        keys += [
+            style.line_key(which, color="#555555", linestyle=line) for which, line in style.LINES.items()
+        ]
+    style.legend_below(figure, keys)
+    return figure
+
+
+def _row_per_path(
+    results: Results, trials: pd.DataFrame, paths: list[str], panels: list[tuple[str, str]]
+) -> Figure:
+    """A row of panels for each path, the others in the middle of their values."""
+    middle, words = middle_point(results), parameters_in_words(paths)
+    title = f"Against {' and '.join(words.values())}"
+    figure = style.new_figure(2.9 * len(panels) + 0.6, 2.9 * len(paths) + 1.1, title)
     grid = figure.subplots(len(paths), len(panels), squeeze=False)
     for row, path in enumerate(paths):
         others = {other: value for other, value in middle.items() if other != path}
@@ -73,17 +92,40 @@ def plot_sweep(results: Results) -> Figure:
             axes = grid[row, column]
             _draw_metric(axes, results, rows, path, metric)
             axes.set_title(name)
-            axes.set_xlabel(path)
+            axes.set_xlabel(words[path])
         _count_failures(grid[row, 0], results, rows, path)
         if others:
             grid[row, 0].set_ylabel(point_name(others))
-    colours, markers = style.colours(results), style.markers(results)
-    keys = [style.line_key(label, color=colours[label], marker=markers[label]) for label in labels(results)]
-    if has_values(trials, ["final_ate"]):
-        keys += [
-            style.line_key(which, color="#555555", linestyle=line) for which, line in style.LINES.items()
-        ]
-    style.legend_below(figure, keys)
+    return figure
+
+
+def _small_multiples(
+    results: Results, trials: pd.DataFrame, paths: list[str], panels: list[tuple[str, str]]
+) -> Figure | None:
+    """Of two paths: a column for each value of the one with fewer, along the other one; a row a metric."""
+    if len(paths) != 2:
+        return None
+    counts = {path: trials[path].nunique(dropna=False) for path in paths}
+    across, along = sorted(paths, key=lambda path: counts[path])
+    if counts[across] > MULTIPLES_MAX:
+        return None
+    words = parameters_in_words(paths)
+    values = list(trials[across].drop_duplicates())
+    title = f"Against {words[along]}, for each {words[across]}"
+    figure = style.new_figure(2.9 * len(values) + 0.6, 2.4 * len(panels) + 1.1, title)
+    grid = figure.subplots(len(panels), len(values), squeeze=False, sharey="row")
+    for column, value in enumerate(values):
+        rows = _with_names(at_point(trials, {across: value}), along)
+        for row, (metric, name) in enumerate(panels):
+            axes = grid[row, column]
+            _draw_metric(axes, results, rows, along, metric)
+            if row == 0:
+                axes.set_title(point_name({across: value}))
+            if row == len(panels) - 1:
+                axes.set_xlabel(words[along])
+            if column == 0:
+                axes.set_ylabel(name)
+        _count_failures(grid[0, column], results, rows, along)
     return figure
 
 
