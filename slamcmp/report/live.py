@@ -19,6 +19,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from slamcmp.errors import SlamcmpError
+from slamcmp.frontend.stream_file import load_stream
 from slamcmp.metrics.consistency import average_band
 from slamcmp.report.figures.drawable import NotDrawable, typical_trial
 from slamcmp.report.figures.runs.consistency import binned_nis
@@ -44,6 +46,8 @@ POINTS = 1200
 """Of a line, after thinning."""
 STEPS = 150
 """Of the time slider."""
+SIGHTS_MOST = 60
+"""Measurements a frame, on average, up to which the map shows them: more would hide it."""
 FIGURES = ("map", "errors", "consistency", "budget", "seeds")
 
 
@@ -131,6 +135,7 @@ def _map(results: Results) -> dict[str, Any] | None:
         return None
     trial = typical_trial(results)
     runs = []
+    sights = _sights(results, trial)
     for index, label in enumerate(labels(results)):
         own = rows_of(results.frames, trial, label).sort_values("k")
         if own.empty:
@@ -145,6 +150,9 @@ def _map(results: Results) -> dict[str, Any] | None:
                 run[which] = [_numbers(own[f"{which}_{axis}"].to_numpy(float)[path]) for axis in "xy"]
         run["steps"] = {"t": _numbers(shown["t"]), "x": _numbers(shown["online_x"])}
         run["steps"]["y"] = _numbers(shown["online_y"])
+        if sights and has_values(shown, ["online_heading_rad"]):
+            run["steps"]["heading"] = _numbers(shown["online_heading_rad"])
+            run["steps"]["sights"] = [sights.get(int(k), [[], []]) for k in shown["k"]]
         if has_values(own, ["online_P_xx"]):
             run["steps"]["P"] = [_numbers(shown[f"online_P_{name}"]) for name in ("xx", "xy", "yy")]
         if has_values(own, ["true_x"]):
@@ -154,6 +162,23 @@ def _map(results: Results) -> dict[str, Any] | None:
             run["landmarks"] = [_numbers(landmarks[axis]) for axis in "xy"]
         runs.append(run)
     return {"kind": "map", "runs": runs, "reference": reference_name(results)} if runs else None
+
+
+def _sights(results: Results, trial: int) -> dict[int, list[list[float | None]]]:
+    """What was measured at each frame of a planar trial, as points in body axes; empty where unknown."""
+    digests = results.trials.loc[results.trials["trial"] == trial, "digest"].astype(str)
+    try:
+        stream = load_stream(results.folder / "streams" / f"{digests.iloc[0]}.npz")
+    except SlamcmpError:
+        return {}
+    sensor = stream.problem.sensor
+    if stream.problem.T_world_body.shape != (3, 3) or not hasattr(sensor, "invert"):
+        return {}
+    count = sum(len(frame.ids) for frame in stream.frames)
+    if not count or count > SIGHTS_MOST * len(stream.frames):
+        return {}
+    points = {frame.k: sensor.invert(np.eye(3), frame.z) for frame in stream.frames if len(frame.ids)}
+    return {k: [_numbers(each[:, axis], 4) for axis in (0, 1)] for k, each in points.items()}
 
 
 def _errors(results: Results) -> dict[str, Any] | None:

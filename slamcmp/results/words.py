@@ -19,6 +19,13 @@ UNITS = {
     "m_per_s": "m/s",
     "deg_per_s": "°/s",
     "rad_per_s": "rad/s",
+    "m_s": "m/s",
+    "deg_s": "°/s",
+    "rad_s": "rad/s",
+    "m_sqrt_s": "m/√s",
+    "rad_sqrt_s": "rad/√s",
+    "per_m": "per m",
+    "per_m2": "per m²",
 }
 """What a parameter's name may end with, and how that unit is written."""
 SECTIONS = {"source": "source", "front_end": "front end", "back_ends": "back end"}
@@ -62,7 +69,7 @@ def setting_in_words(words: str, value: str) -> str:
     found = re.fullmatch(r"(.*?) \[(.+?)\](.*)", words)
     if found is None:
         return f"{words} = {value}"
-    gap = "" if found[2] == "°" else " "
+    gap = "" if found[2].startswith("°") else " "
     return f"{found[1]}{found[3]} = {value}" + (f"{gap}{found[2]}" if value != "none" else "")
 
 

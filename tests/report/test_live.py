@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
 import re
 import shutil
@@ -15,7 +16,10 @@ import pytest
 from tornado.httpclient import AsyncHTTPClient
 from tornado.websocket import websocket_connect
 
+import slamcmp
+from slamcmp.geometry import se2
 from slamcmp.report import write_report
+from slamcmp.report.figures.drawable import typical_trial
 from slamcmp.report.html import report_html
 from slamcmp.report.live import DARK, LIGHT, kept_indices, live_data, live_figures, pareto_front
 
@@ -98,11 +102,14 @@ def test_the_page_carries_plotly_once_and_allows_no_other_script(swept):
     assert "unsafe" not in policy.split("script-src")[1]
 
 
-async def browse(page, folder, steps, width):
-    """Values of JavaScript expressions on the page, one after the other, and all that the console said."""
+async def browse(page, folder, steps, width, theme="light"):
+    """Values of JavaScript expressions on the page, one after the other, and all that the console said.
+
+    The width is that of a device: a browser's window is never as narrow as a phone.
+    """
     browser = subprocess.Popen(
         [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0",
-         f"--user-data-dir={folder}", f"--window-size={width},1200", "about:blank"],
+         f"--user-data-dir={folder}", "about:blank"],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:
@@ -137,6 +144,12 @@ async def browse(page, folder, steps, width):
 
         await ask("Runtime.enable")
         await ask("Log.enable")
+        await ask(
+            "Emulation.setDeviceMetricsOverride",
+            width=width, height=900, deviceScaleFactor=1, mobile=width < 500,
+        )  # fmt: skip
+        scheme = {"name": "prefers-color-scheme", "value": theme}
+        await ask("Emulation.setEmulatedMedia", features=[scheme])
         await ask("Page.navigate", url=page.as_uri())
         while await value("document.documentElement.dataset.live") != "ready":
             assert time.monotonic() < end, f"the figures are not there: {said}"
@@ -174,3 +187,71 @@ def test_in_a_browser_the_slider_moves_and_the_console_is_silent(swept, tmp_path
     assert np.isclose(frames["online_x"], tenth, rtol=1e-4).any()
     assert fits
     assert twin == "none"
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A small experiment that ran, with its streams."""
+    return slamcmp.run(
+        {
+            "source": {"name": "circle", "landmarks": 8, "steps": 40},
+            "back_ends": ["ekf_slam", "isam2"],
+            "seeds": 2,
+        },
+        folder=tmp_path_factory.mktemp("driven"),
+        executor="serial",
+        progress=False,
+    )
+
+
+def test_the_map_has_what_was_measured_at_each_moment(driven):
+    shown = live_figures(driven)["map"]
+    for run in shown["runs"]:
+        assert len(run["steps"]["sights"]) == len(run["steps"]["x"]) == 40
+    trial = typical_trial(driven)
+    stream = slamcmp.make_stream("circle", int(driven.trials["seed"][2 * trial]), landmarks=8, steps=40)
+    for frame, (ahead, left) in zip(stream.frames, shown["runs"][0]["steps"]["sights"], strict=True):
+        expected = stream.problem.sensor.invert(np.eye(3), frame.z) if len(frame.ids) else np.empty((0, 2))
+        assert np.column_stack([ahead, left]).reshape(-1, 2) == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+def test_without_streams_the_map_is_drawn_all_the_same(driven, tmp_path):
+    moved = dataclasses.replace(driven, folder=tmp_path)
+    assert "sights" not in live_figures(moved)["map"]["runs"][0]["steps"]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+@pytest.mark.parametrize(("width", "theme"), [(390, "dark"), (1280, "light")])
+def test_in_a_browser_measurements_follow_the_slider_on_phone_and_desktop(driven, tmp_path, width, theme):
+    page = write_report(driven, tmp_path / "report.html")
+    trace = "document.querySelector('[data-figure=map]').data.find(t => t.name === 'measured now')"
+    slide = (
+        "(async () => {const s = document.querySelector('.player input'); s.value = 7; "
+        "s.dispatchEvent(new Event('input')); await new Promise(r => setTimeout(r, 300));})()"
+    )
+    steps = [
+        "innerWidth",
+        slide,
+        f"[{trace}.x, {trace}.y]",
+        "document.documentElement.scrollWidth <= innerWidth",
+        "getComputedStyle(document.body).backgroundColor",
+        "[...document.querySelectorAll('.live, .player')]"
+        ".every(e => e.getBoundingClientRect().right <= innerWidth)",
+    ]
+    (inner, _, (xs, ys), fits, back, inside), said = asyncio.run(
+        browse(page, tmp_path / "profile", steps, width, theme)
+    )
+    assert said == []
+    assert inner == width
+    assert fits
+    assert inside
+    assert (back == "rgb(255, 255, 255)") == (theme == "light")
+    trial = typical_trial(driven)
+    own = driven.frames[(driven.frames["trial"] == trial) & (driven.frames["label"] == "ekf_slam")]
+    at = own[own["k"] == 7].iloc[0]
+    stream = slamcmp.make_stream("circle", int(at["seed"]), landmarks=8, steps=40)
+    pose = se2(at["online_x"], at["online_y"], at["online_heading_rad"])
+    expected = stream.problem.sensor.invert(pose, stream.frames[7].z)
+    # A ray each: from the robot to the point, and a gap.
+    assert np.column_stack([xs[1::3], ys[1::3]]) == pytest.approx(expected, abs=5e-3)
+    assert xs[2::3] == [None] * len(expected)

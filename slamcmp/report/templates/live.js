@@ -71,6 +71,14 @@ function ellipse(x, y, P) {
   }
   return [xs, ys];
 }
+function rays(x, y, heading, [ahead, left]) {
+  const xs = [], ys = [], c = Math.cos(heading), s = Math.sin(heading);
+  ahead.forEach((a, j) => {
+    xs.push(x, x + c * a - s * left[j], null);
+    ys.push(y, y + s * a + c * left[j], null);
+  });
+  return [xs, ys];
+}
 function map(figure, box) {
   const runs = figure.runs, columns = small() ? 1 : Math.min(3, runs.length), rows = Math.ceil(runs.length / columns);
   const shown = [], page = layout(rows, small() ? 320 : 420), moving = [], seen = new Set();
@@ -99,6 +107,9 @@ function map(figure, box) {
     const steps = run.steps;
     if (steps.P) moving.push([add("95 % ellipse", {x: [], y: [], fill: "toself", line: {...line, width: 1.5}}, n),
       i => ellipse(steps.x[i], steps.y[i], steps.P.map(each => each[i])), steps]);
+    if (steps.sights) moving.push([add("measured now", {x: [], y: [], mode: "lines+markers", line: {...line, width: 1},
+      opacity: 0.7, marker: {color: c, size: 6, symbol: "x-thin", line: {color: c, width: 1.5}}}, n),
+      i => rays(steps.x[i], steps.y[i], steps.heading[i], steps.sights[i]), steps]);
     moving.push([add("now", {x: [], y: [], mode: "markers", marker: {color: c, size: 11,
       line: {color: css("--text"), width: 1.5}}}, n), i => [[steps.x[i]], [steps.y[i]]], steps]);
   });
