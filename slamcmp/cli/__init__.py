@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 import slamcmp
-from slamcmp.cli import advise, cache, check, frontend, run, seeds, show, stream
+from slamcmp.cli import advise, cache, check, ensemble, frontend, run, seeds, show, stream
 from slamcmp.cli.data import commands as data
 from slamcmp.cli.data import noise
 from slamcmp.cli.grading import assignment, grade, grade_all, regrade
@@ -34,6 +34,7 @@ app = typer.Typer(
 for _commands in (
     run,
     advise,
+    ensemble,
     check,
     seeds,
     report,
