@@ -3,8 +3,8 @@
 On one core, on all cores, and on a GPU where there is one. Needs numpy and numba alone (on a GPU numba-cuda),
 so that a bare machine with a GPU can run it from a checkout: ``pip install numpy numba numba-cuda``.
 
-Interleaved: the same blocks of seeds on one thread and on all, whose ratio may be 1 / 1.8 on two cores.
-A GPU's first launch compiles and is not timed; its scores must be a core's to 1e-6, for the last bits of sines
+Interleaved: the same blocks of seeds on one thread and on all; on two cores their ratio may be 1 / 1.8. A
+GPU's first launch compiles and is not timed; its scores must be a core's to 1e-6, for the last bits of sines
 and logarithms differ and a run of 2500 frames makes more of them.
 
 Run ``python benchmarks/ensemble.py`` (a minute; ``--runs 100`` for less, ``--json`` for numbers).
