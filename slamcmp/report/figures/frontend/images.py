@@ -179,12 +179,12 @@ def _shown(stream: MeasurementStream, log: Log, k: int) -> Shown | None:
     if image is None or not isinstance(sensor, Camera):
         return None
     frame = stream.frames[k]
-    pixels = _pixels(frame, sensor)
+    pixels = measured_pixels(frame, sensor)
     before = np.full(pixels.shape, np.nan)
     if k:
         last = stream.frames[k - 1]
         _, here, there = np.intersect1d(frame.ids, last.ids, return_indices=True)
-        before[here] = _pixels(last, sensor)[there]
+        before[here] = measured_pixels(last, sensor)[there]
     return Shown(k, image, extract_features(image).xy, pixels, before, _depths(frame, sensor))
 
 
@@ -192,7 +192,8 @@ def _depths(frame: Frame, sensor: Camera) -> FloatArray:
     return sensor.depths(frame.z) if isinstance(sensor, StereoCamera) else np.full(len(frame.z), np.nan)
 
 
-def _pixels(frame: Frame, sensor: Camera) -> FloatArray:
+def measured_pixels(frame: Frame, sensor: Camera) -> FloatArray:
+    """Where a frame's landmarks were measured in the (left) image, (m, 2) [px]."""
     return frame.z[:, [0, 2]] if isinstance(sensor, StereoCamera) else frame.z[:, :2]
 
 

@@ -31,7 +31,12 @@ class TrialSource:
 
 
 def source_of_typical_trial(results: Results) -> TrialSource:
-    """The source of the typical trial, with that trial's values of what is swept.
+    """The source of the typical trial, as :func:`source_of_trial` has it."""
+    return source_of_trial(results, None)
+
+
+def source_of_trial(results: Results, trial: int | None) -> TrialSource:
+    """The source of a trial (None: the typical one), with that trial's values of what is swept.
 
     Raises:
         NotDrawable: the experiment's front end takes no images.
@@ -46,7 +51,7 @@ def source_of_typical_trial(results: Results) -> TrialSource:
         of_images = False
     if not of_images:
         raise NotDrawable("the front end takes no images")
-    trial = typical_trial(results)
+    trial = typical_trial(results) if trial is None else trial
     row = results.trials[results.trials["trial"] == trial].iloc[0]
     parameters = {name: value for name, value in source.items() if name != "name"}
     for path in swept_columns(results.trials):
