@@ -35,6 +35,7 @@ def run(
     executor: str | None = None,
     progress: bool | None = None,
     cache: bool = True,
+    scheduler: str | None = None,
 ) -> Results:
     """Run an experiment, or what is left of it.
 
@@ -66,6 +67,7 @@ def run(
         seeds: how many (0, 1, …), or exactly these, in place of the experiment's own.
         rerun_failed: also run again what did not end well.
         executor: where jobs run; default ``processes``, with a class of this process ``session``.
+        scheduler: address of the scheduler for executor ``dask``; default: workers on this machine.
         progress: show a line or a bar for each job; default: on a terminal and in a notebook.
         cache: take results of equal key from the cache that all experiments share (``slamcmp cache info``),
             with the times that they took then, and keep new ones there.
@@ -116,6 +118,7 @@ def run(
                 progress=shown,
                 command="slamcmp.run",
                 cache=cache,
+                scheduler=scheduler,
             )
         finally:
             # Nobody can ever ask for these again: their keys belong to this call.

@@ -52,7 +52,13 @@ def run(
         int | None, typer.Option(min=0, help="This seed only, beside the table of others.")
     ] = None,
     results: Annotated[Path | None, typer.Option(help="Results folder; default: results/NAME.")] = None,
-    executor: Annotated[str, typer.Option(help="Where jobs run: processes or serial.")] = "processes",
+    executor: Annotated[
+        str, typer.Option(help="Where jobs run: processes, serial, or dask (a cluster, extra [dask]).")
+    ] = "processes",
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="With --executor dask: tcp://host:port; default: workers on this machine."),
+    ] = None,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
     columns: Annotated[str | None, typer.Option(help=COLUMNS_HELP)] = None,
     no_cache: Annotated[
@@ -114,6 +120,7 @@ def run(
             progress=not (as_json or is_quiet()),
             command=" ".join(["slamcmp", *sys.argv[1:]]),
             cache=not no_cache,
+            scheduler=scheduler,
         )
     except Interrupted as error:
         # A further Ctrl-C would cost the table and the message.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from slamcmp.backends.filters.loops import prepare
-from slamcmp.errors import SlamcmpError
+from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
 from slamcmp.experiment.executors.processes import Executor
 from slamcmp.experiment.gathering.manifest import describe_origin, now, require_same_experiment
@@ -56,6 +56,7 @@ def run_experiment(
     progress: bool = False,
     command: str = "",
     cache: bool = True,
+    scheduler: str | None = None,
 ) -> Results:
     """Run what has no result yet, and gather all results into tables in ``folder``.
 
@@ -68,6 +69,8 @@ def run_experiment(
         executor: registered name of where jobs run.
         progress: show progress on standard error.
         command: for the manifest.
+        scheduler: address of the Dask scheduler whose workers run the jobs, for the executor ``dask``; None:
+            a cluster of this machine's own.
         cache: take results of equal key from the shared cache (shared_cache.py), and keep new ones there.
 
     Returns:
@@ -91,7 +94,9 @@ def run_experiment(
     manifest = describe_origin(experiment, command)
     slots = jobs or available_cores()
     place = executors.get(executor)
-    workers: Executor = place.target(slots=slots)
+    if scheduler is not None and not place.traits.get("scheduler"):
+        raise UsageError(f"executor {executor!r} knows no scheduler: take executor 'dask' or leave it out")
+    workers: Executor = place.target(slots=slots, **({} if scheduler is None else {"scheduler": scheduler}))
     prepare(back_end.plugin().target for back_end in experiment.back_ends)
     rounds = _Rounds(shared_cache() if cache else None)
     with locked(folder), interruptions(raising=bool(place.traits.get("in_process", False))) as stop:

@@ -16,7 +16,7 @@ import numpy as np
 import slamcmp.errors
 from slamcmp.errors import MissingDataError, SlamcmpError, StorageError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
-from slamcmp.experiment.executors.processes import Ended, Executor
+from slamcmp.experiment.executors.processes import Ended, Executor, ExecutorLostError
 from slamcmp.experiment.job.collected import recovered
 from slamcmp.experiment.job.fault import OUTSIDE, Fault
 from slamcmp.experiment.job.outdated import why_outdated
@@ -100,6 +100,12 @@ class Schedule:
         Raises:
             StorageError: a worker could not write its result.
         """
+        try:
+            self._run_all()
+        except ExecutorLostError as error:
+            self.fatal = error
+
+    def _run_all(self) -> None:
         running = 0
         while ((self._ready and self.fatal is None) or running) and not self._stop.is_set():
             while self._ready and running < self._workers.slots and self.fatal is None:

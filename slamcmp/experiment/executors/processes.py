@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 GRACE_S = 2.0
 """Past its time limit a back end may finish the frame it is in; then the parent ends it."""
+LOOK_EVERY_S = 0.1
+"""How often a job is looked at that nobody waits for with others."""
 LOADING_S = 120.0
 """A job may take that long, beside its limit, to read its stream and load its plug-in."""
 OWN_FAULTS = frozenset(
@@ -46,6 +48,10 @@ OWN_FAULTS = frozenset(
 )
 """Signals that a process brings upon itself; any other comes from outside."""
 TEMPORARY = "slamcmp-"
+
+
+class ExecutorLostError(SlamcmpError):
+    """Where jobs ran does not answer any more; results that came back are kept."""
 
 
 @dataclass(frozen=True)
