@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from slamcmp.backends.window.sliding_window import SlidingWindow
+from slamcmp.errors import UsageError
 from slamcmp.grading.assignment.description import find_assignment, load_assignment, load_source
 from slamcmp.grading.assignment.handout import SHIPPED
 from slamcmp.grading.run.grader import Grading
@@ -61,8 +62,8 @@ def test_a_smoother_in_place_of_the_ekf_is_caught(name: str, back_end: str, lost
     assignment = load_assignment(find_assignment(name))
     wanted = tuple(test for test in assignment.tests if test.fields.name in ("Accuracy", *lost))
     # Only what is lost counts here, not how it is explained.
-    fewer = replace(assignment, tests=wanted, mutants=())
-    grading = Grading(fewer, "ada", b"a secret of the tests")
+    fewer = replace(assignment, tests=wanted)
+    grading = Grading(fewer, "ada", b"a secret of the tests", causes=False)
     smoother = InProcess(SmootherInside(assignment.solution(), back_end))  # type: ignore[arg-type]
     tests = {test.name: test for test in grading.run(smoother, lambda outcome: None).tests}
     # More accurate than what was asked for, and not it.
@@ -163,10 +164,9 @@ class Recording:
 @pytest.mark.parametrize("seed", range(3))
 def test_most_corners_are_found_again_at_half_the_size(seed: int) -> None:
     """Of those of the large picture that the small one shows at the same place, one level lower."""
-    folder = find_assignment("front_end")
-    recording = Recording(load_assignment(folder).solution())
-    cases = load_source("front_end_cases", (folder / "cases.py").read_text(), folder / "cases.py")
-    cases.half_the_size(recording, np.random.default_rng(seed))
+    assignment = load_assignment(find_assignment("front_end"))
+    recording = Recording(assignment.solution())
+    assignment.cases.half_the_size(recording, np.random.default_rng(seed))
     *large, small_0, small_1 = recording.answers["at_full_size"]
     ((pairs,),) = [recording.answers["match"]]
     level = np.repeat([0, 1, 2], [len(each) for each in large])
@@ -178,3 +178,20 @@ def test_most_corners_are_found_again_at_half_the_size(seed: int) -> None:
     right[pairs[near[pairs[:, 0], pairs[:, 1]], 0]] = True
     assert repeatable.sum() > 20
     assert right[repeatable].mean() > 0.6
+
+
+def test_cases_may_be_a_package_and_two_of_one_name_do_not_mix(tmp_path: Path) -> None:
+    for number in (1, 2):
+        folder = tmp_path / str(number) / "kalman_filter"
+        shutil.copytree(find_assignment("kalman_filter"), folder)
+        (folder / "cases").mkdir()
+        (folder / "cases.py").rename(folder / "cases" / "all_of_them.py")
+        with (folder / "cases" / "all_of_them.py").open("a") as file:
+            file.write(f"\nNUMBER = {number}\n")
+        (folder / "cases" / "__init__.py").write_text("from .all_of_them import NUMBER, predictions\n")
+        cases = load_assignment(folder).cases
+        assert number == cases.NUMBER
+        assert callable(cases.predictions)
+    (folder / "cases" / "all_of_them.py").unlink()
+    with pytest.raises(UsageError, match="does not import"):
+        _ = load_assignment(folder).cases

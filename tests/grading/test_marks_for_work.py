@@ -23,9 +23,9 @@ from slamcmp.grading.sandbox.errors import StudentError
 def graded(assignment: Assignment, source: str, *tests: str) -> GradeOutcome:
     """Without a sandbox and without causes."""
     wanted = tuple(test for test in assignment.tests if not tests or test.fields.name in tests)
-    short = replace(assignment, tests=wanted, mutants=())
+    short = replace(assignment, tests=wanted)
     runner = InProcess(load_source("slamcmp_student", source, Path("student.py")))
-    *_, outcome = Grading(short, "ada", b"a secret of the tests").outcomes(runner)
+    *_, outcome = Grading(short, "ada", b"a secret of the tests", causes=False).outcomes(runner)
     return outcome
 
 

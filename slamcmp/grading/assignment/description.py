@@ -1,7 +1,8 @@
 """An assignment's folder: what to hand in, which tests there are, the solution, and known mistakes.
 
-``assignment.yaml`` names the tests, ``cases.py`` makes their data, ``solution/`` holds the reference,
-``mutants.yaml`` known mistakes as replacements in it, each with the message a student gets who makes it.
+``assignment.yaml`` names the tests, ``cases.py`` (or a package ``cases/``, where that is more than one idea)
+makes their data, ``solution/`` holds the reference, ``mutants.yaml`` known mistakes as replacements in it,
+each with the message a student gets who makes it.
 """
 
 from __future__ import annotations
@@ -160,9 +161,9 @@ class Assignment:
 
     @functools.cached_property
     def cases(self) -> ModuleType:
-        """``cases.py``, imported."""
-        path = self.folder / "cases.py"
-        return load_source(f"slamcmp_cases_{self.name}", path.read_text(encoding="utf-8"), path)
+        """``cases.py``, or the package ``cases``, imported."""
+        name, path = f"slamcmp_cases_{self.name}", _cases_file(self.folder)
+        return load_source(name, path.read_text(encoding="utf-8"), path)
 
     def solution(self) -> ModuleType:
         """The solution as a new module, with no state left by earlier tests."""
@@ -205,7 +206,7 @@ def load_assignment(folder: Path) -> Assignment:
     source = load_yaml(folder / SPECIFICATION)
     fields, tests = _checked_tests(source)
     solution_path = folder / "solution" / "solution.py"
-    for path in (solution_path, folder / "cases.py"):
+    for path in (solution_path, _cases_file(folder)):
         if not path.is_file():
             raise MissingDataError(f"{path}: no such file; an assignment needs it")
     solution = solution_path.read_text(encoding="utf-8")
@@ -214,14 +215,26 @@ def load_assignment(folder: Path) -> Assignment:
     return Assignment(folder, fields, tests, mutants, solution, _digest(folder))
 
 
+def _cases_file(folder: Path) -> Path:
+    package = folder / "cases" / "__init__.py"
+    return package if package.is_file() else folder / "cases.py"
+
+
 def load_source(name: str, source: str, path: Path) -> ModuleType:
     """A new module from text of the course's own; ``path`` stands in tracebacks.
+
+    Where that is an ``__init__.py``, what lies beside it can be imported from it.
 
     Raises:
         UsageError: it does not import.
     """
     module = ModuleType(name)
     module.__file__ = str(path)
+    if path.name == "__init__.py":
+        # Another assignment of the same name may have been read before.
+        for loaded in [each for each in sys.modules if each.startswith(f"{name}.")]:
+            del sys.modules[loaded]
+        module.__path__ = [str(path.parent)]
     # Dataclasses look their module up by its name.
     sys.modules[name] = module
     try:

@@ -120,6 +120,8 @@ class Grading:
     assignment: Assignment
     student: str
     secret: bytes
+    causes: bool = True
+    """Whether likely causes are looked for where marks are lost, which takes longest."""
     _replays: dict[tuple[str, str], list[Remembered]] = field(default_factory=dict, repr=False)
 
     def refused(self, reason: str) -> GradeOutcome:
@@ -142,7 +144,9 @@ class Grading:
         started = time.monotonic()
         outcome = replace(self._start(), submission_digest=submission.digest, notes=submission.notes)
         shares: dict[str, float] = {}
-        judge = Judge(self.assignment, self.student, self.secret, submission, self._replays)
+        judge = Judge(
+            self.assignment, self.student, self.secret, submission, self._replays, causes=self.causes
+        )
         with Apart(judge, self.assignment.fields.limits) if submission.apart else Here(judge) as judging:
             for number, spec in enumerate(self.assignment.tests, start=1):
                 judged = judging.judged(number, spec, shares)

@@ -83,6 +83,7 @@ class Judge:
         runner: the submission.
         replays: what the reference and known mistakes answer, by test and mistake; filled as needed, to be
             shared by judges of the same assignment, student and secret.
+        causes: whether likely causes are looked for.
     """
 
     def __init__(
@@ -92,9 +93,12 @@ class Judge:
         secret: bytes,
         runner: Runner,
         replays: dict[tuple[str, str], list[Remembered]],
+        *,
+        causes: bool = True,
     ) -> None:
         self._assignment, self._student, self._secret, self._runner = assignment, student, secret, runner
         self._replays = replays
+        self._looks_for_causes = causes
         self.tests = assignment.tests
         self._asked: list[tuple[TestSpec, Remembering]] = []
         """What the submission answered in the tests up to now."""
@@ -174,7 +178,7 @@ class Judge:
         causes: list[str] = []
         detail = test.staff_detail
         try:
-            causes = self._causes(spec)
+            causes = self._causes(spec) if self._looks_for_causes else []
         except MemoryError:
             raise
         except Exception as error:

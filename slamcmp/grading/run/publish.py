@@ -14,7 +14,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any
@@ -140,8 +140,8 @@ def gate(
     for number, student in enumerate(students):
         yield step(f"solution, seed {number}", assignment.solution_source, student, None)
     yield step("starter", starter.read_text(encoding="utf-8"), students[0], 0.0)
-    # Of these only the points count, and every answer is wrong: looking for causes would take longest.
-    unexplained = Grading(replace(assignment, mutants=()), "student 0", b"secret of the publish gate")
+    # Of these only the points count, and every answer is wrong.
+    unexplained = Grading(assignment, "student 0", b"secret of the publish gate", causes=False)
     for name, source in idle_submissions(assignment).items():
         yield step(f"submission {name!r}", source, unexplained, IDLE_SHARE)
     known = assignment.mutants

@@ -12,6 +12,7 @@ from slamcmp.grading.run.slips.kinds import (
     ANOTHER,
     BY_ENTRY,
     CONDITION,
+    CONDITION_TURNED,
     CONSTANT,
     DEGREES,
     DIAGONAL,
@@ -102,8 +103,8 @@ def changes_of_expression(
     if isinstance(parent, ast.If | ast.IfExp) and parent.test is node:
         yield Change("a condition were always met", ast.Constant(True), (node,))
         yield Change("a condition were never met", ast.Constant(False), (node,))
-        yield Change("a condition were turned round", ast.UnaryOp(ast.Not(), node), (node,))
-    if isinstance(parent, ast.For) and parent.iter is node:
+        yield Change(CONDITION_TURNED, ast.UnaryOp(ast.Not(), node), (node,))
+    if isinstance(parent, ast.For) and parent.iter is node and not _is_unread(parent.target):
         yield Change("only the first of several counted", sliced(call("list", node), None, 1), (node,))
         yield Change("the first of several were left out", sliced(call("list", node), 1, None), (node,))
         yield Change("the last of several were left out", sliced(call("list", node), None, -1), (node,))
@@ -165,6 +166,11 @@ def changes_of_entry(name: str) -> Iterator[Change]:
         (SQUARED, "went in squared", ast.BinOp(array, ast.Pow(), ast.Constant(2))),
         (ROOT, "went in as its root", call("np.sqrt", call("np.abs", given))),
         (DIAGONAL, "went in with its diagonal only", call("np.diag", call("np.diag", given))),
+        (
+            "something stood for its complement",
+            "went in as 1 minus itself",
+            ast.BinOp(ast.Constant(1), ast.Sub(), array),
+        ),
         (TERM, "were left out (zero)", times(0.0, array)),
         (FACTOR, "were left out (the identity)", call("np.eye", call("len", given))),
         (TWICE, "counted twice", times(2.0, array)),
@@ -185,6 +191,9 @@ def _of_operation(node: ast.BinOp) -> Iterator[Change]:
             assert flipped is not None
             yield Change(SIGN, ast.BinOp(left, flipped, right), (right,))
             yield Change(SIGN, ast.BinOp(right, ast.Sub(), left), (left,))
+            yield Change(
+                "a product stood where a sum belongs", ast.BinOp(left, ast.Mult(), right), (left, right)
+            )
             yield Change(TERM, left, (right,))
             yield Change(TERM, right, (left,))
             yield Change(TERM, negative(right), (left,))
@@ -224,7 +233,7 @@ def _of_operation(node: ast.BinOp) -> Iterator[Change]:
 
 def _of_comparison(left: ast.expr, op: ast.cmpop, right: ast.expr) -> Iterator[Change]:
     edge = "a comparison were wrong at its edge (< for ≤)"
-    turned = "a comparison were turned round"
+    turned = CONDITION_TURNED
     others: dict[type[ast.cmpop], tuple[tuple[str, ast.cmpop], ...]] = {
         ast.Lt: ((edge, ast.LtE()), (turned, ast.Gt())),
         ast.LtE: ((edge, ast.Lt()), (turned, ast.Gt())),
@@ -256,8 +265,12 @@ def _of_name(node: ast.Name, names: Sequence[str], index: bool) -> Iterator[Chan
             other = ast.Name(name, ast.Load())
             yield Change(ANOTHER, other, (node, other))
             if not index:
-                for operator in (ast.Mult(), ast.MatMult()):
-                    yield Change(FACTOR_MORE, ast.BinOp(node, operator, other), (node, other))
+                for factors in (
+                    ast.BinOp(node, ast.Mult(), other),
+                    ast.BinOp(node, ast.MatMult(), other),
+                    ast.BinOp(other, ast.MatMult(), node),
+                ):
+                    yield Change(FACTOR_MORE, factors, (node, other))
                 yield Change(TERM_MORE, ast.BinOp(node, ast.Add(), other), (node, other))
     if index:
         for by in (1, -1):
@@ -292,6 +305,11 @@ def _flipped(op: ast.operator) -> ast.operator | None:
     if isinstance(op, ast.Add):
         return ast.Sub()
     return ast.Add() if isinstance(op, ast.Sub) else None
+
+
+def _is_unread(target: ast.expr) -> bool:
+    """Whether a loop only counts: then it does not matter which of its steps is left out."""
+    return isinstance(target, ast.Name) and target.id == "_"
 
 
 def _reads(node: ast.expr, name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import time
 import warnings
 from collections.abc import Sequence, Set
 from types import ModuleType
@@ -22,8 +23,10 @@ CALLS = 60
 _STEPS_MORE = 3, 50
 """A loop ends where it has taken so many times the steps of the solution, and so many more."""
 _STEPS_MAX = 1_000_000
-_STEPS_ALL, _STEPS_OF_CALL = 200_000, 20
-"""A search ends with so many steps of loops, a call counting as some; slips of helpers come last."""
+_STEPS_ALL, _STEPS_OF_CALL = 500_000, 20
+_SEARCH_S = 5.0
+"""A search ends with so many steps of loops, a call counting as some, or so much processor time, where a
+function is slow without a loop. Slips of helpers come last."""
 
 
 class SlipSearch:
@@ -79,10 +82,14 @@ class SlipSearch:
         looked_at = [each for each, _ in (*wrong, *fine)][:CALLS]
         left = self._left.get(function)
         candidates = _slips(self._source, function, self._asked) if left is None else left
-        self._steps_spent = 0
+        self._steps_spent, began = 0, time.process_time()
         # What a call has spoken against, no later call speaks for.
         self._left[function] = [
-            slip for slip in candidates if self._steps_spent < _STEPS_ALL and self._explains(slip, looked_at)
+            slip
+            for slip in candidates
+            if self._steps_spent < _STEPS_ALL
+            and time.process_time() - began < _SEARCH_S
+            and self._explains(slip, looked_at)
         ]
         return _agreed(self._left[function], choices_only=all(_is_choice(each.answer) for each, _ in wrong))
 
