@@ -102,7 +102,7 @@ FAULTS = {
         ("block_diag(*frame.R)", "block_diag(*(frame.R @ frame.R))"),
         None,
         "reports a covariance that fits its errors",
-        r"overconfident",
+        r"overconfident; cause: R is taken for standard deviations",
     ),
     "mean is never corrected": (
         ("self.T, self.J = retract_in_world_axes(self.T, dx[:3])", "self.J = np.eye(3)"),
@@ -114,7 +114,7 @@ FAULTS = {
         ("block_diag(*frame.R)", "block_diag(*frame.R) / 2"),
         None,
         "reports a covariance that fits its errors",
-        r"overconfident",
+        r"overconfident; cause: every observation is taken in twice",
     ),
     "lost symmetry": (
         ("self.P - K @ S @ K.T", "self.P - np.triu(K @ S @ K.T)"),
@@ -174,7 +174,7 @@ FAULTS = {
         ("self.P[:3, :3] += frame.Q", "self.P[:3, :3] += 50 * frame.Q"),
         ("H @ self.P @ H.T + block_diag(*frame.R)", "H @ self.P @ H.T + 50 * block_diag(*frame.R)"),
         "reports a covariance that fits its errors",
-        r"pessimistic",
+        r"pessimistic; cause not found",
     ),
 }
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from slamcmp.experiment.conformance.bench import Bench, blind, feed, reckoned, run
+from slamcmp.experiment.conformance.causes import cause
 from slamcmp.experiment.conformance.outcomes import SEEDS, SETTLED, Band, chi2_band, outcomes, spread_band
 from slamcmp.experiment.job.collected import first_fault
 from slamcmp.geometry import adjoint_of_inverse, local
@@ -229,8 +230,10 @@ def check_consistency(bench: Bench) -> str:
     last = np.array([outcome.nees[-1] for outcome in found])
     all_along = np.array([outcome.nees[SETTLED:].mean() for outcome in found])
     told = [
-        _require_inside("mean NEES at the last frame", last, dimension, chi2_band(dimension, SEEDS)),
-        _require_inside("mean NEES over the frames", all_along, dimension, spread_band(dimension, all_along)),
+        _require_inside(bench, "mean NEES at the last frame", last, dimension, chi2_band(dimension, SEEDS)),
+        _require_inside(
+            bench, "mean NEES over the frames", all_along, dimension, spread_band(dimension, all_along)
+        ),
     ]
     return "; ".join(told)
 
@@ -241,7 +244,7 @@ def check_map_consistency(bench: Bench) -> str | None:
     if np.isnan(values).all():
         return None
     n = bench.stream.problem.sensor.space_dim
-    return _require_inside("mean NEES of the landmarks", values, n, spread_band(n, values))
+    return _require_inside(bench, "mean NEES of the landmarks", values, n, spread_band(n, values))
 
 
 def check_joint_consistency(bench: Bench) -> str | None:
@@ -252,23 +255,15 @@ def check_joint_consistency(bench: Bench) -> str | None:
         return None
     dimension = float(np.mean([outcome.joint_dim for outcome in found]))
     band = chi2_band(dimension, SEEDS)
-    return _require_inside("mean NEES of pose and map together", values, dimension, band)
+    return _require_inside(bench, "mean NEES of pose and map together", values, dimension, band)
 
 
-def _require_inside(what: str, values: FloatArray, expected: float, band: Band) -> str:
+def _require_inside(bench: Bench, what: str, values: FloatArray, expected: float, band: Band) -> str:
     mean = float(values.mean())
     told = f"{what} is {mean:.2f} over {SEEDS} seeds, expected {expected:.3g} ({band})"
-    _require(
-        mean < band.high,
-        f"{told}: overconfident; typical causes: new landmarks without their correlation to the pose, R or Q "
-        "taken as standard deviations or too small, one observation used twice, Jacobians of another state "
-        "than the one that is corrected, a covariance left in the axes before the correction",
-    )
-    _require(
-        mean > band.low,
-        f"{told}: pessimistic; typical causes: R or Q too large, Q added twice, or observations used for the "
-        "mean only",
-    )
+    if not band.low < mean < band.high:
+        kind = "pessimistic" if mean <= band.low else "overconfident"
+        raise CheckFailedError(f"{told}: {kind}; {cause(bench)}")
     return f"{what} {mean:.2f} over {SEEDS} seeds, expected {expected:.3g}"
 
 
