@@ -44,6 +44,7 @@ SHOWN_IN = {
     "rendered_room": "vision.md",
     "rendered_room_mono": "vision.md",
     "unknown_association": "without-labels.md",
+    "victoria_park_gps": "real-robots.md",
 }
 """Shipped experiment: the page that discusses it."""
 GROUPS = {

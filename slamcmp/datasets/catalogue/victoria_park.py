@@ -24,6 +24,7 @@ def _raw() -> DataSet:
         required=("DRS.txt", "GPS.txt", "LASER.txt", "Sensors_manager.txt"),
         how=f"download the log in ASCII (DRS, GPS, LASER, Sensors_manager) from {_PAGE}",
         size="18 MB unpacked (ASCII)",
+        use="{name: victoria_park_raw, path: victoria_park}",
         notes=(
             "LASER.txt is one single line of 362 numbers a scan; 81.91 m is no return.",
             "The GPS has gaps, one of 181 s.",
