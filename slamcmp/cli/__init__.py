@@ -18,7 +18,7 @@ from slamcmp.cli.data import commands as data
 from slamcmp.cli.data import noise
 from slamcmp.cli.grading import assignment, grade, grade_all, regrade
 from slamcmp.cli.output import equip, respect_no_color
-from slamcmp.cli.results import compare, papers, report, trajectories, view
+from slamcmp.cli.results import compare, papers, report, trajectories, view, watch
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.support.messages import printable, told
 
@@ -38,6 +38,7 @@ for _commands in (
     check,
     seeds,
     report,
+    watch,
     view,
     compare,
     papers,

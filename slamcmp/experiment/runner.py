@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import threading
 import time
@@ -25,10 +26,13 @@ from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisio
 from slamcmp.registry import executors
 from slamcmp.results.runs.gathered import AboutStream
 from slamcmp.results.store import Results, save_results
-from slamcmp.support.atomic import remove_left_behind
+from slamcmp.support.atomic import remove_left_behind, write_atomically
 from slamcmp.support.interruption import interruptions
 from slamcmp.support.lock import locked
 from slamcmp.support.progress import unbreakable, watching
+
+PLANNED = ".progress.json"
+"""What a run is about to do, in its results folder."""
 
 
 class Interrupted(SlamcmpError):
@@ -200,6 +204,7 @@ class _Rounds:
             self.from_cache += len(brought - plan.runs.keys())
             todo = len(plan.runs) + len(plan.streams)
             self._tried |= {*plan.runs, *plan.streams}
+            _tell_plan(experiment, plan, folder)
             with watching(todo, show=progress) as watcher:
                 schedule = Schedule(plan, folder, workers, unbreakable(watcher), experiment, stop)
                 try:
@@ -225,6 +230,17 @@ class _Rounds:
             if over or stop.is_set() or self.fatal is not None:
                 return
             experiment = experiment.with_more_seeds()
+
+
+def _tell_plan(experiment: Experiment, plan: Plan, folder: Path) -> None:
+    """What will be done, for who looks at the folder meanwhile (report/watch.py)."""
+    told = {
+        "name": experiment.name,
+        "question": experiment.question,
+        "labels": [choice.label for choice in experiment.back_ends],
+        "runs": {job.key: job.back_end.label for trial in plan.trials for job in trial.runs},
+    }
+    write_atomically(folder / PLANNED, lambda file: file.write(json.dumps(told).encode()))
 
 
 def _about_streams(streams: Sequence[AboutStream], reference: str | None) -> dict[str, Any]:
