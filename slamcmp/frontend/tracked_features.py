@@ -15,10 +15,12 @@ from slamcmp.support.memory import keep_freed_memory
 from slamcmp.types import Frame, FrontEndReport, Log, MeasurementStream, Problem
 
 if TYPE_CHECKING:
-    from slamcmp.frontend.vision.tracker import TrackingSettings
+    from slamcmp.frontend.vision.motion_check import MotionCheck
+    from slamcmp.frontend.vision.tracker import FeatureTracker, TrackingSettings
     from slamcmp.frontend.vision.wrong_matches import MatchRecord
 
 Share = Annotated[float, Gt(0), Lt(1)]
+_CLOCKS = "are the clocks of camera and odometry apart"
 
 
 @front_ends.register("tracked_features", images=True)
@@ -144,13 +146,22 @@ def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[Measurement
         {name: np.array(values) for name, values in times.items()},
         (
             *_skipped(skipped, log),
-            *tracker.warnings(),
-            *(check.findings(float(np.median(np.diff(log.t)))) if log.t.size > 1 else ()),
+            *_against_odometry(tracker, check, log),
         ),
         score_matches(records, log.images).counts() if isinstance(log.images, TrueMatches) else {},
     )
     problem = Problem(log.problem.T_world_body, log.problem.P, tracker.sensor)
     return MeasurementStream(problem, tuple(frames), report), records
+
+
+def _against_odometry(tracker: FeatureTracker, check: MotionCheck, log: Log) -> list[str]:
+    """What the images say against their camera and the odometry, each thing once."""
+    if log.t.size < 2:
+        return []
+    step_s = float(np.median(np.diff(log.t)))
+    told = tracker.warnings(step_s)
+    # Where the picture's shift tells a delay too, the motion of the points has told it.
+    return told + [each for each in check.findings(step_s) if not (_CLOCKS in each and _CLOCKS in str(told))]
 
 
 def _skipped(reasons: Counter[str], log: Log) -> list[str]:

@@ -7,6 +7,7 @@ from slamcmp.frontend.vision.image_pair import Features
 from slamcmp.frontend.vision.measuring import Measured
 from slamcmp.frontend.vision.motion_check import frozen, same_picture
 from slamcmp.frontend.vision.pair_check import PairCheck
+from slamcmp.frontend.vision.seen_motion import SeenMotion
 from slamcmp.frontend.vision.travel_check import TravelCheck
 from slamcmp.image_files import Size, image_problem
 from slamcmp.models.camera import Camera, MonoCamera, RgbdCamera, StereoCamera
@@ -38,6 +39,7 @@ class FrameChecks:
         self._pair = PairCheck(camera) if isinstance(camera, StereoCamera) else None
         self._depth = DepthShare()
         self._travel = TravelCheck(camera)
+        self._motion = SeenMotion(camera)
 
     def problem(self, frame: CameraFrame, since_image: Increment) -> str:
         """Why the frame cannot be used, ``since_image`` after the last that could; empty if it can.
@@ -72,12 +74,21 @@ class FrameChecks:
             repeated = same_picture(frame.depth_m, self._last.depth_m) and self._has_changed(frame)
             self._depth.look(depth_m, measured.valid, self._depth_min_m, repeated=repeated)
         self._travel.look(features, depth_m, since_image)
+        self._motion.look(features, depth_m, since_image)
 
-    def findings(self) -> list[str]:
-        """What the images say against the calibration or the odometry, with the likely cause."""
+    def findings(self, step_s: float) -> list[str]:
+        """What the images say against the calibration or the odometry, with the likely cause.
+
+        ``step_s`` is the usual time between two images.
+        """
         of_pair = [] if self._pair is None else self._pair.findings()
         # What is wrong with the pair is also why few points have a depth.
-        return [*(of_pair or self._depth.findings()), *self._travel.findings()]
+        of_depths = of_pair or self._depth.findings()
+        of_travel = self._travel.findings()
+        # Nor does the motion fit if the mounting is wrong, or the depths that it was found with.
+        if of_pair or of_travel:
+            return [*of_depths, *of_travel]
+        return [*of_depths, *self._motion.findings(step_s, depths=not of_depths)]
 
     def _repeated_right(self, frame: CameraFrame) -> str:
         if same_picture(frame.right, frame.image):

@@ -141,9 +141,12 @@ class FeatureTracker:
         self._gate = float(chdtri(self.sensor.dim, 1.0 - share))
         self._pixel_gate = float(chdtri(2, 1.0 - share))
 
-    def warnings(self) -> list[str]:
-        """What the images so far say against the calibration or the odometry, with the likely cause."""
-        return self._checks.findings()
+    def warnings(self, step_s: float) -> list[str]:
+        """What the images so far say against the calibration or the odometry, with the likely cause.
+
+        ``step_s`` is the usual time between two frames.
+        """
+        return self._checks.findings(step_s)
 
     def step(self, frame: CameraFrame, T_prev_body: FloatArray, Q: FloatArray) -> Sighting:
         """Take in the next frame and the odometry that led to it; a bad image leaves only the odometry."""
