@@ -14,6 +14,7 @@ from slamcmp.cli import completion
 if TYPE_CHECKING:
     from slamcmp.ensembles.outcome import Ensemble
     from slamcmp.experiment.config.experiment import Experiment
+    from slamcmp.results.judgements.verdict import PublishedVerdict
 
 INTERRUPTED = 130
 
@@ -76,9 +77,15 @@ def ensemble(
         raise typer.Exit(INTERRUPTED)
     written = _write_samples(found, folder, samples)
     if as_json:
+        from slamcmp.cli.run import json_value
         from slamcmp.ensembles.stored import as_dict
 
-        print(json.dumps(as_dict(found) | {"folder": str(folder)}, indent=2, allow_nan=False))
+        verdict = _verdict(found, chosen)
+        more = {
+            "published": None if verdict is None else json_value(verdict.as_dict()),
+            "folder": str(folder),
+        }
+        print(json.dumps(as_dict(found) | more, indent=2, allow_nan=False))
     else:
         _print(found, chosen)
         for path in written:
@@ -199,3 +206,12 @@ def _print(found: Ensemble, chosen: Experiment) -> None:
         rows.append(row)
     print_table(pd.DataFrame(rows).fillna(""), upright_rows=6)
     print("± standard error over the runs; in brackets the paired 95 % interval")
+    verdict = _verdict(found, chosen)
+    if verdict is not None:
+        print(f"against {verdict.source}: {verdict.sentence()}")
+
+
+def _verdict(found: Ensemble, chosen: Experiment) -> PublishedVerdict | None:
+    from slamcmp.ensembles.published import judge_ensemble
+
+    return None if chosen.published is None else judge_ensemble(found, chosen.published)

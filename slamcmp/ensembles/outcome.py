@@ -91,17 +91,22 @@ class FilterRuns:
 
     def _mean_rmse(self, column: int, scale: float) -> Estimated:
         """The mean over frames of the RMSE over runs; its error by the jackknife over batches."""
-        used = self.runs_of_batch > 0
-        sums, counts = self.curves[used][:, :, column], self.runs_of_batch[used]
-        if not counts.size:
-            return Estimated(math.nan, math.nan)
+        whole, left = self.means_of_rmse(column)
+        return Estimated(scale * whole, scale * _jackknife(left))
+
+    def means_of_rmse(self, column: int) -> tuple[float, FloatArray]:
+        """The mean over frames of the RMSE over runs, and the same without one batch at a time, (BATCHES,).
+
+        NaN of a batch that has no runs.
+        """
+        sums, counts = self.curves[:, :, column], self.runs_of_batch
+        if not counts.sum():
+            return math.nan, np.full(len(counts), math.nan)
         total, runs = sums.sum(axis=0), counts.sum()
-        value = scale * float(np.sqrt(total / runs).mean())
-        m = counts.size
-        if m < 3:
-            return Estimated(value, math.nan)
-        left = scale * np.sqrt((total - sums) / (runs - counts)[:, None]).mean(axis=1)
-        return Estimated(value, math.sqrt((m - 1) / m * float(((left - left.mean()) ** 2).sum())))
+        used = (counts > 0) & (counts < runs)
+        left = np.full(len(counts), math.nan)
+        left[used] = np.sqrt((total - sums[used]) / (runs - counts[used])[:, None]).mean(axis=1)
+        return float(np.sqrt(total / runs).mean()), left
 
 
 @dataclass(frozen=True)
@@ -126,24 +131,57 @@ class Ensemble:
         return replace(self, runs=tuple(a.joined(b) for a, b in zip(self.runs, more, strict=True)))
 
     def ratios(self) -> dict[str, Ratio]:
-        """Position RMSE of each filter but the first over the first one's, paired by seed.
+        """Position RMSE of each filter but the first over the first one's, paired by seed."""
+        first, *others = (each.label for each in self.runs)
+        return {each: self.ratio("ensemble_position_rmse", each, first) for each in others}
 
-        The interval is that of the delta method on the logarithm: with a and b the runs' mean squared errors,
-        log sqrt(mean a / mean b) varies as the mean of (a / mean a - b / mean b) / 2 over the runs.
+    def ratio(self, metric: str, label: str, over: str) -> Ratio:
+        """A metric of one filter over that of another on the same seeds, with its 95 % interval.
+
+        Of means over runs by the delta method on the logarithm: with a and b the runs' values,
+        log(mean a / mean b) varies as the mean of a / mean a - b / mean b; the root of a mean by half of it.
+        Of means over frames by the jackknife over batches.
+
+        Raises:
+            KeyError: no such metric or label.
         """
-        first = self.runs[0]
-        found = {}
-        for each in self.runs[1:]:
-            both = (each.failed < 0) & (first.failed < 0)
-            a, b = each.scores[both, at.SQUARED_POSITION], first.scores[both, at.SQUARED_POSITION]
-            if len(a) < 2:
-                found[each.label] = Ratio(math.nan, math.nan, math.nan)
-                continue
-            log = 0.5 * math.log(a.mean() / b.mean())
-            spread = float((0.5 * (a / a.mean() - b / b.mean())).std(ddof=1))
-            half = 1.96 * spread / math.sqrt(len(a))
-            found[each.label] = Ratio(math.exp(log), math.exp(log - half), math.exp(log + half))
-        return found
+        by_label = {each.label: each for each in self.runs}
+        one, other = by_label[label], by_label[over]
+        if metric in _OVER_FRAMES:
+            (a, left_a), (b, left_b) = (each.means_of_rmse(_OVER_FRAMES[metric]) for each in (one, other))
+            return _ratio(math.log(a / b), _jackknife(np.log(left_a / left_b)))
+        column, power = _OVER_RUNS[metric]
+        both = (one.failed < 0) & (other.failed < 0)
+        a_runs, b_runs = one.scores[both, column], other.scores[both, column]
+        if len(a_runs) < 2:
+            return _ratio(math.nan, math.nan)
+        varied = power * (a_runs / a_runs.mean() - b_runs / b_runs.mean())
+        error = float(varied.std(ddof=1)) / math.sqrt(len(varied))
+        return _ratio(power * math.log(a_runs.mean() / b_runs.mean()), error)
+
+
+_OVER_RUNS = {
+    "ensemble_heading_rmse_deg": (at.SQUARED_HEADING, 0.5),
+    "ensemble_position_rmse": (at.SQUARED_POSITION, 0.5),
+    "ensemble_nees_heading": (at.NEES_HEADING, 1.0),
+    "ensemble_nees_position": (at.NEES_POSITION, 1.0),
+    "ensemble_nees_pose": (at.NEES_POSE, 1.0),
+}
+"""Column of the scores, and the power of their mean."""
+_OVER_FRAMES = {"ensemble_mean_position_rmse": 0, "ensemble_mean_heading_rmse_deg": 1}
+"""Column of the curves."""
+METRICS = (*_OVER_RUNS, *_OVER_FRAMES)
+
+
+def _ratio(log: float, error: float) -> Ratio:
+    return Ratio(math.exp(log), math.exp(log - 1.96 * error), math.exp(log + 1.96 * error))
+
+
+def _jackknife(left_out: FloatArray) -> float:
+    """The standard error, from values that each leave out one batch; NaN from fewer than three."""
+    left = left_out[np.isfinite(left_out)]
+    m = len(left)
+    return math.sqrt((m - 1) / m * float(((left - left.mean()) ** 2).sum())) if m > 2 else math.nan
 
 
 def _mean(values: FloatArray) -> Estimated:

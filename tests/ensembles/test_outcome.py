@@ -13,11 +13,13 @@ from slamcmp.ensembles.ensemble import ensemble_in_steps, run_ensemble
 from slamcmp.ensembles.kernels import settings as at
 from slamcmp.ensembles.outcome import BATCHES, Ensemble, FilterRuns
 from slamcmp.ensembles.problem import ensemble_problem
+from slamcmp.ensembles.published import judge_ensemble
 from slamcmp.ensembles.stored import RUNS, ensemble_key, load_ensemble, save_ensemble
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.frontend.stream_file import load_stream
+from slamcmp.results.judgements.published import Published
 from tests.command import Command
 from tests.ensembles.worlds import SOURCE, experiment, problem
 
@@ -158,3 +160,39 @@ def test_the_command_line(
     code, out, err = slamcmp(*few, "--target", "cuda")
     assert code == 2
     assert "no ensemble on a GPU" in err
+
+
+def test_a_publication_is_judged_pair_by_pair() -> None:
+    """Of 2000 runs: b is 20 % worse than a, c is b with other noise, d is 20 % better than c."""
+    generator = np.random.default_rng(3)
+    shared = generator.gamma(2.0, 1.0, (2000, 1))
+    factors = {"a": 1.0, "b": 1.44, "c": 1.44, "d": 1.0}
+    runs = tuple(
+        made_up(name, generator, np.tile(factor * shared * generator.gamma(4.0, 0.25, (2000, 1)), (1, 5)), 5)
+        for name, factor in factors.items()
+    )
+    found = Ensemble(None, runs)  # type: ignore[arg-type]
+    rmse = runs[0].metrics()["ensemble_position_rmse"].value
+    orders = [["a", "b"], ["b", "c"], ["b", "a"], ["a", "gone", "b"], ["a", "gone"]]
+    published = Published.model_validate(
+        {
+            "source": "nobody",
+            "tolerance": {"ensemble_position_rmse": 0.1},
+            "rows": [
+                {"label": "a", "values": {"ensemble_position_rmse": rmse * 1.05, "online_ate": 1.0}},
+                {"label": "b", "values": {"ensemble_position_rmse": rmse}},
+                {"label": "gone", "values": {"ensemble_position_rmse": rmse}},
+            ],
+            "order": [
+                {"metric": metric, "labels": labels}
+                for metric in ("ensemble_position_rmse", "ensemble_mean_position_rmse")
+                for labels in orders
+            ]
+            + [{"metric": "ensemble_position_rmse", "labels": ["a", "b"], "worst_factor": 1.5}],
+        }
+    )
+    verdict = judge_ensemble(found, published)
+    assert [each.verdict for each in verdict.values] == ["inside", "not measured", "outside", "not measured"]
+    four = ["held", "tie", "violated", "held"]
+    assert [each.verdict for each in verdict.orders] == [*four, *four, "violated"]
+    assert verdict.orders[0].pairs[0].ratio.estimate == pytest.approx(1.2, abs=0.05)
