@@ -11,6 +11,7 @@ from slamcmp.datasets.images.seven_scenes import seven_scenes
 from slamcmp.errors import UsageError
 from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.frontend.tracked_features import tracked_features
+from slamcmp.frontend.vision import placing, tracker
 from slamcmp.frontend.vision.error_correlation import ErrorCorrelation
 from slamcmp.geometry import local
 from slamcmp.registry import back_ends
@@ -87,12 +88,37 @@ def test_what_cannot_take_a_camera_says_so() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("start", "worse"), [(0, {"ukf_slam", "iterated_ekf"}), (10, set())])
-def test_on_kitti_who_is_worse_than_its_odometry(start: int, worse: set[str]) -> None:
-    """Nine seeds; three to six minutes. From image 10 on nobody is.
+@pytest.mark.parametrize("start", [0, 10])
+def test_on_kitti_nobody_is_worse_than_its_odometry(start: int) -> None:
+    """Nine seeds; three to six minutes each.
 
-    Over all images two are: 0.376 and 0.396 m where odometry has 0.368 m. The truth's own attitude turns
-    by 0.6 degrees over the first ten.
+    Over all images the UKF and the iterated EKF were, by 2 and 8 %: pixels after a point had entered counted
+    for more than they tell.
     """
     medians = medians_on_kitti(ALL, start, 9)
-    assert {name for name, error in medians.items() if error > medians["dead_reckoning"]} == worse, medians
+    assert {name for name, error in medians.items() if error > medians["dead_reckoning"]} == set(), medians
+
+
+def test_later_pixels_are_stated_as_what_they_add() -> None:
+    """Covariance intersection: the shares of what placed a point and of what follows make one."""
+    assert pytest.approx(1.0) == 1.0 / placing._PLACING + 1.0 / placing.SIGHTING
+    log = kitti_odometry(0, folder=str(recorded("kitti06_first51")), start=10, steps=8)
+    stream = tracked_features(log, 0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(placing, "_PLACING", 1.0)
+        patch.setattr(tracker, "SIGHTING", 1.0)
+        independent = tracked_features(log, 0)
+    entered = 0
+    for ours, theirs in zip(stream.frames, independent.frames, strict=True):
+        np.testing.assert_array_equal(ours.z, theirs.z)
+        np.testing.assert_allclose(ours.R, 3.0 * theirs.R, rtol=1e-12)
+        if ours.entries is not None and theirs.entries is not None:
+            np.testing.assert_array_equal(ours.entries.z, theirs.entries.z)
+            for axis in (0, 2):
+                ratio = ours.entries.R[:, axis, axis] / theirs.entries.R[:, axis, axis]
+                np.testing.assert_allclose(ratio, 1.5, rtol=1e-12)
+            difference = np.array([1.0, -1.0, 0.0])
+            variances = (difference @ ours.entries.R @ difference, difference @ theirs.entries.R @ difference)
+            np.testing.assert_allclose(*variances, rtol=1e-9)
+            entered += ours.entries.ids.size
+    assert entered > 20

@@ -20,6 +20,13 @@ with more, a filter that linearises once goes astray."""
 _SHARING = 10.0
 """Points that owe their depth to the same increments. They share those increments' errors, which a stream
 of independent measurements cannot say; n times each one's covariance bounds n fully correlated ones."""
+_PLACING = 1.5
+SIGHTING = 3.0
+"""The pixels that placed a point and those that it is measured by later are of one corner, whose place on
+the surface is wrong in the same way (error_correlation.py): the later ones tell less anew than they seem to.
+How much less is unknown, and covariances over w and 1 - w bound two pieces of information whatever they have
+in common (Julier and Uhlmann 1997). w is two thirds: a placed point, already vague in depth, stands less of
+it than a pixel. A point with a depth of its own needs no pixels before its first sighting."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +76,10 @@ def place_rays(
 
 
 def _bounded(R: FloatArray) -> FloatArray:
-    """R (m, 3, 3) with the disparity's variance as large as the points' common error asks for."""
+    """R (m, 3, 3) as large as what the points have in common, and what with later pixels, asks for."""
     to_disparity = np.array([[1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
     # The change of axes is its own inverse.
-    B = to_disparity @ np.diag([1.0, np.sqrt(_SHARING), 1.0]) @ to_disparity
+    B = to_disparity @ np.diag(np.sqrt([_PLACING, _SHARING, _PLACING])) @ to_disparity
     larger = B @ R @ B.T
     bounded: FloatArray = 0.5 * (larger + np.swapaxes(larger, 1, 2))
     return bounded

@@ -21,7 +21,7 @@ from slamcmp.frontend.vision.frame_checks import FrameChecks
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.matching import match_candidates
 from slamcmp.frontend.vision.measuring import Measured, Noise, measuring
-from slamcmp.frontend.vision.placing import place_rays
+from slamcmp.frontend.vision.placing import SIGHTING, place_rays
 from slamcmp.frontend.vision.pyramid import extract_pyramid
 from slamcmp.frontend.vision.search_windows import Windows, search_windows
 from slamcmp.frontend.vision.suppression import suppress_cells
@@ -205,7 +205,11 @@ class FeatureTracker:
         seen, seen_rows = np.concatenate([chosen[kept], new]), np.concatenate([rows[kept], new_rows])
         self._name(seen_rows)
         # The tests above judge one image at a time; a back end adds up what repeats itself.
-        R = self._correlation.factor * measured.R[seen]
+        R = (
+            self._correlation.factor
+            * (1.0 if isinstance(self.sensor, StereoCamera) else SIGHTING)
+            * measured.R[seen]
+        )
         detections = Detections(measured.z[seen], R, tracks.id[seen_rows])
         self._forget()
         self._gap = 0
