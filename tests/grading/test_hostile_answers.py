@@ -143,6 +143,22 @@ WRONG = {
     "a generator": "return (y for y in [x])",
     "a type": "return float",
     "prints": "for i in range(3000): print('\\x1b[2J' + 'x' * 1000)\n    return 3.0",
+    "a generator without end": "import itertools\n    return (y for y in itertools.count())",
+    "a list that lies": (
+        "class Lying(list):\n"
+        "        def __len__(self): return 1\n"
+        "        def __iter__(self):\n"
+        "            while True: yield 2.0 * x\n"
+        "    return Lying([2.0 * x] * 3)"
+    ),
+    "masked": "return np.ma.masked_all(3)",
+    "a deep tuple": "y = (2.0 * x,)\n    for _ in range(5000): y = (y,)\n    return y",
+    "objects in themselves": "y = np.empty(2, dtype=object)\n    y[:] = [y, y]\n    return y",
+    "a terabyte by strides": "return np.broadcast_to(np.float64(2.0), (1 << 20, 1 << 17))",
+    "itself": "return double(x)",
+    "an integer that is no number": (
+        "class Odd(int):\n        def __index__(self): raise MemoryError\n    return [Odd(2)] * 3"
+    ),
     "hostile subclass": (
         "class Evil(np.ndarray):\n"
         "        def __array_function__(self, *a): raise SystemExit\n"

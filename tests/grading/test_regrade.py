@@ -205,11 +205,22 @@ def test_who_was_not_graded_or_misjudged_is_in_no_statistics() -> None:
     assert clusters([lost[0], misjudged(lost[1])]) == ()
 
 
+def test_one_program_is_the_same_with_the_data_of_two_students() -> None:
+    """A wrong update earned 0 of 20 with one student's data and 0.8 with another's."""
+    causes = ["Your correct answers as if R counted half."]
+    rows = [
+        row(name, shares, causes) for name, shares in (("eva", (0.0, 0.5, 0.4)), ("fay", (0.04, 0.5, 0.4)))
+    ]
+    (found,) = clusters(rows)
+    assert found.students == ("eva", "fay")
+    assert clusters([rows[0], row("gus", (0.2, 0.5, 0.4), causes)]) == ()
+
+
 def test_only_those_who_fail_alike_in_three_tests_are_hinted_at() -> None:
     alike = [row(name, (0.5, 0.25, 0.1), ["You forget Q."]) for name in ("ada", "bob")]
     others = [
         row("other cause", (0.5, 0.25, 0.1), ["You forget R."]),
-        row("other share", (0.5, 0.26, 0.1), ["You forget Q."]),
+        row("other share", (0.5, 0.4, 0.1), ["You forget Q."]),
         *(row(name, (1.0, 0.25, 0.1), ["You forget Q."]) for name in ("two tests", "two again")),
         *(row(name, (0.0, 0.0, 0.0), ["You forget Q."]) for name in ("nothing", "nothing too")),
     ]

@@ -17,13 +17,15 @@ import numpy as np
 
 from slamcmp.grading.results.class_summary import pattern
 from slamcmp.grading.results.gradebook import GradebookRow
-from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome
+from slamcmp.grading.results.outcome import TestOutcome
 from slamcmp.grading.results.student_view import clean
 
 MISTAKES_SHOWN = 12
 CLUSTERS_SHOWN = 20
 LOST_TESTS_MIN = 3
 """Of a cluster: who loses points in fewer tests shares them with too many."""
+SHARES_APART = 0.1
+"""Shares of a test's points that one program may earn with the data of two students."""
 RIGHT = 1 - 1e-9
 
 
@@ -119,38 +121,53 @@ def causes_recorded(rows: Sequence[GradebookRow]) -> bool:
 
 
 def clusters(rows: Sequence[GradebookRow]) -> tuple[Cluster, ...]:
-    """Groups of submissions that lose the same share in the same tests, with the same causes.
+    """Groups of submissions that lose about the same share in the same tests, with the same causes.
 
-    Shares are compared to a thousandth: hidden data differ between students. Who loses points in fewer than
-    three tests, or earns nothing anywhere, is in no group, and nor is who was not graded to the end or where
-    the grader itself failed.
+    Hidden data differ between students, and what one mistake costs with them: shares that are no farther
+    apart than ``SHARES_APART`` count as the same. Who loses points in fewer than three tests, or earns nothing
+    anywhere, is in no group, and nor is who was not graded to the end or where the grader itself failed.
     """
-    groups: dict[tuple[tuple[str, float, tuple[str, ...]], ...], list[tuple[str, GradeOutcome]]] = (
-        defaultdict(list)
-    )
+    groups: dict[tuple[tuple[str, tuple[str, ...]], ...], list[list[_Member]]] = defaultdict(list)
     for row in rows:
         outcome = row.outcome
         if outcome is None or not outcome.complete or outcome.score <= 0:
             continue
         if not all(test.judged for test in outcome.tests):
             continue
+        lost = [test for test in outcome.tests if _share(test) < RIGHT]
+        if len(lost) < LOST_TESTS_MIN:
+            continue
         behaviour = tuple(
-            (_name(test), round(_share(test), 3), tuple(pattern(cause) for cause in test.causes or ()))
-            for test in outcome.tests
-            if _share(test) < RIGHT
+            (_name(test), tuple(pattern(cause) for cause in test.causes or ())) for test in lost
         )
-        if len(behaviour) >= LOST_TESTS_MIN:
-            groups[behaviour].append((row.student, outcome))
+        member = _Member(
+            row.student, 100.0 * outcome.score / outcome.max_score, [_share(test) for test in lost]
+        )
+        for members in groups[behaviour]:
+            if np.abs(np.subtract(members[0].shares, member.shares)).max() <= SHARES_APART:
+                members.append(member)
+                break
+        else:
+            groups[behaviour].append([member])
     found = [
         Cluster(
-            tuple(clean(student) for student, _ in members),
-            tuple(name for name, _, _ in behaviour),
-            100.0 * members[0][1].score / members[0][1].max_score,
+            tuple(clean(each.student) for each in members),
+            tuple(name for name, _ in behaviour),
+            members[0].percent,
         )
-        for behaviour, members in groups.items()
+        for behaviour, apart in groups.items()
+        for members in apart
         if len(members) > 1
     ]
     return tuple(sorted(found, key=lambda each: (-len(each.tests), each.students)))[:CLUSTERS_SHOWN]
+
+
+@dataclass(frozen=True)
+class _Member:
+    student: str
+    percent: float
+    shares: list[float]
+    """Of the points of the tests in which some are lost."""
 
 
 def _name(test: TestOutcome) -> str:

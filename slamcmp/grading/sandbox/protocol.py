@@ -96,12 +96,13 @@ def _pack(value: Any, arrays: list[NDArray[Any]], depth: int) -> Any:
     if isinstance(value, np.ndarray):
         arrays.append(_plain(value))
         return {"a": len(arrays) - 1}
+    # What the containers hold, not what a subclass tells of it: that may have no end.
     if isinstance(value, list):
-        return [_pack(item, arrays, depth + 1) for item in value]
+        return [_pack(item, arrays, depth + 1) for item in list.__iter__(value)]
     if isinstance(value, tuple):
-        return {"t": [_pack(item, arrays, depth + 1) for item in value]}
-    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
-        return {"d": {str(key): _pack(item, arrays, depth + 1) for key, item in value.items()}}
+        return {"t": [_pack(item, arrays, depth + 1) for item in tuple.__iter__(value)]}
+    if isinstance(value, dict) and all(isinstance(key, str) for key in dict.keys(value)):
+        return {"d": {str(key): _pack(item, arrays, depth + 1) for key, item in dict.items(value)}}
     raise NotTransferable(
         f"{type(value).__name__} is not an array, a number, a text, or a list, tuple or dictionary of these"
     )
