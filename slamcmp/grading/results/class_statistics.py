@@ -124,8 +124,9 @@ def clusters(rows: Sequence[GradebookRow]) -> tuple[Cluster, ...]:
     """Groups of submissions that lose about the same share in the same tests, with the same causes.
 
     Hidden data differ between students, and what one mistake costs with them: shares that are no farther
-    apart than ``SHARES_APART`` count as the same. Who loses points in fewer than three tests, or earns nothing
-    anywhere, is in no group, and nor is who was not graded to the end or where the grader itself failed.
+    apart than ``SHARES_APART`` count as the same. Who loses points in fewer than three tests, or earns
+    nothing anywhere, is in no group, and nor is who was not graded to the end or where the grader itself
+    failed.
     """
     groups: dict[tuple[tuple[str, tuple[str, ...]], ...], list[list[_Member]]] = defaultdict(list)
     for row in rows:

@@ -191,9 +191,10 @@ def _of_operation(node: ast.BinOp) -> Iterator[Change]:
             assert flipped is not None
             yield Change(SIGN, ast.BinOp(left, flipped, right), (right,))
             yield Change(SIGN, ast.BinOp(right, ast.Sub(), left), (left,))
-            yield Change(
-                "a product stood where a sum belongs", ast.BinOp(left, ast.Mult(), right), (left, right)
-            )
+            if not any(isinstance(each, ast.Constant) for each in (left, right)):
+                yield Change(
+                    "a product stood where a sum belongs", ast.BinOp(left, ast.Mult(), right), (left,)
+                )
             yield Change(TERM, left, (right,))
             yield Change(TERM, right, (left,))
             yield Change(TERM, negative(right), (left,))
