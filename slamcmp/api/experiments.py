@@ -36,6 +36,7 @@ def run(
     progress: bool | None = None,
     cache: bool = True,
     scheduler: str | None = None,
+    times: bool = False,
 ) -> Results:
     """Run an experiment, or what is left of it.
 
@@ -68,6 +69,7 @@ def run(
         rerun_failed: also run again what did not end well.
         executor: where jobs run; default ``processes``, with a class of this process ``session``.
         scheduler: address of the scheduler for executor ``dask``; default: workers on this machine.
+        times: when all else is done, run each back end once more, alone, for its times.
         progress: show a line or a bar for each job; default: on a terminal and in a notebook.
         cache: take results of equal key from the cache that all experiments share (``slamcmp cache info``),
             with the times that they took then, and keep new ones there.
@@ -119,6 +121,7 @@ def run(
                 command="slamcmp.run",
                 cache=cache,
                 scheduler=scheduler,
+                times=times,
             )
         finally:
             # Nobody can ever ask for these again: their keys belong to this call.

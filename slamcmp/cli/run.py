@@ -59,6 +59,10 @@ def run(
         str | None,
         typer.Option(help="With --executor dask: tcp://host:port; default: workers on this machine."),
     ] = None,
+    times: Annotated[
+        bool,
+        typer.Option("--times", help="When all is done, time each run alone, one job after the other."),
+    ] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no HTML report.")] = False,
     columns: Annotated[str | None, typer.Option(help=COLUMNS_HELP)] = None,
     no_cache: Annotated[
@@ -121,6 +125,7 @@ def run(
             command=" ".join(["slamcmp", *sys.argv[1:]]),
             cache=not no_cache,
             scheduler=scheduler,
+            times=times,
         )
     except Interrupted as error:
         # A further Ctrl-C would cost the table and the message.

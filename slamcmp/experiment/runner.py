@@ -13,22 +13,25 @@ from typing import Any
 from slamcmp.backends.filters.loops import prepare
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import Experiment, load_experiment
-from slamcmp.experiment.executors.processes import Executor
+from slamcmp.experiment.executors.processes import Executor, Processes
 from slamcmp.experiment.gathering.manifest import describe_origin, now, require_same_experiment
 from slamcmp.experiment.gathering.tables import gather
 from slamcmp.experiment.job.fault import OUTSIDE, Fault
+from slamcmp.experiment.job.task import run_path
 from slamcmp.experiment.planning.plan import Plan, plan_experiment
 from slamcmp.experiment.planning.samples import names_of
-from slamcmp.experiment.planning.trials import make_trials
+from slamcmp.experiment.planning.trials import RunJob, Trial, make_trials
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.experiment.shared_cache import SharedCache, shared_cache
 from slamcmp.experiment.stop_search import MetricValues, describe_stop, precisions
 from slamcmp.registry import executors
 from slamcmp.results.runs.gathered import AboutStream
+from slamcmp.results.runs.run_file import load_run
 from slamcmp.results.store import Results, save_results
 from slamcmp.support.atomic import remove_left_behind, write_atomically
 from slamcmp.support.interruption import interruptions
 from slamcmp.support.lock import locked
+from slamcmp.support.packed_files import is_there
 from slamcmp.support.progress import unbreakable, watching
 
 PLANNED = ".progress.json"
@@ -61,6 +64,7 @@ def run_experiment(
     command: str = "",
     cache: bool = True,
     scheduler: str | None = None,
+    times: bool = False,
 ) -> Results:
     """Run what has no result yet, and gather all results into tables in ``folder``.
 
@@ -75,6 +79,8 @@ def run_experiment(
         command: for the manifest.
         scheduler: address of the Dask scheduler whose workers run the jobs, for the executor ``dask``; None:
             a cluster of this machine's own.
+        times: when all else is done, run every back end once more, one job at a time and each in a process
+            of its own: its times are then its own.
         cache: take results of equal key from the shared cache (shared_cache.py), and keep new ones there.
 
     Returns:
@@ -102,12 +108,18 @@ def run_experiment(
         raise UsageError(f"executor {executor!r} knows no scheduler: take executor 'dask' or leave it out")
     workers: Executor = place.target(slots=slots, **({} if scheduler is None else {"scheduler": scheduler}))
     prepare(back_end.plugin().target for back_end in experiment.back_ends)
+    side_by_side = workers.slots
     rounds = _Rounds(shared_cache() if cache else None)
     with locked(folder), interruptions(raising=bool(place.traits.get("in_process", False))) as stop:
         require_same_experiment(experiment, folder)
         remove_left_behind(folder, folder / "runs", folder / "streams")
         try:
             rounds.run_all(experiment, folder, workers, stop, rerun_failed=rerun_failed, progress=progress)
+            if times and rounds.fatal is None and not stop.is_set():
+                workers.close()
+                in_process = bool(place.traits.get("in_process", False))
+                workers = place.target(slots=1) if in_process else Processes(slots=1)
+                rounds.time_all(experiment, folder, workers, stop, progress=progress)
         except KeyboardInterrupt:
             stop.set()
         # After a StorageError no tables: they would meet the same full disk; finished runs are kept.
@@ -126,10 +138,11 @@ def run_experiment(
         manifest |= {
             "finished": now(),
             "wall_s": time.monotonic() - begin,
-            "jobs": workers.slots,
+            "jobs": side_by_side,
             "jobs_run": rounds.done,
             "jobs_reused": rounds.plan.reused - rounds.again,
             "jobs_from_cache": rounds.from_cache,
+            **({"jobs_timed": rounds.timed} if times else {}),
             "jobs_missing": len(rounds.pending) + again,
             **names_of(rounds.plan.trials),
             **about_streams,
@@ -147,6 +160,17 @@ def run_experiment(
     return results
 
 
+def _untimed(trials: Sequence[Trial], folder: Path) -> dict[str, RunJob]:
+    """The jobs, by key, that ended well and have no times of their own yet."""
+    found: dict[str, RunJob] = {}
+    for trial in trials:
+        for job in trial.runs:
+            stored = load_run(run_path(folder, job.key)) if job.record is None else None
+            if stored is not None and stored.run.status == "ok" and not stored.timed_alone:
+                found[job.key] = job
+    return found
+
+
 def available_cores() -> int:
     """Cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
@@ -160,6 +184,8 @@ class _Rounds:
     def __init__(self, cache: SharedCache | None) -> None:
         self._cache = cache
         self.from_cache = 0
+        self.timed = 0
+        """Runs that were done once more for their times."""
         """Runs whose results another folder's experiment had computed."""
         self.plan = Plan([])
         """Of the last round; its trials are those of all rounds."""
@@ -177,6 +203,29 @@ class _Rounds:
         self.unfinished = False
         """Ctrl-C came before the search was over."""
         self._tried: set[str] = set()
+
+    def time_all(
+        self,
+        experiment: Experiment,
+        folder: Path,
+        workers: Executor,
+        stop: threading.Event,
+        *,
+        progress: bool,
+    ) -> None:
+        """Run what ended well once more, one job at a time; results stay the same but for their times."""
+        again = Plan(self.plan.trials, runs=_untimed(self.plan.trials, folder))
+        with watching(len(again.runs), show=progress) as watcher:
+            schedule = Schedule(again, folder, workers, unbreakable(watcher), experiment, stop, alone=True)
+            try:
+                schedule.run_all()
+            except KeyboardInterrupt:
+                stop.set()
+        self.lost |= schedule.lost
+        # A job that was begun and not ended has no result; those that were not begun keep theirs.
+        self.pending |= {key for key in schedule.pending if not is_there(run_path(folder, key))}
+        self.fatal = schedule.fatal
+        self.timed = schedule.done
 
     def run_all(
         self,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import io
 import threading
 from collections import deque
@@ -20,7 +19,7 @@ from slamcmp.experiment.executors.processes import Ended, Executor, ExecutorLost
 from slamcmp.experiment.job.collected import recovered
 from slamcmp.experiment.job.fault import OUTSIDE, Fault
 from slamcmp.experiment.job.outdated import why_outdated
-from slamcmp.experiment.job.task import Task, run_path, stream_path, truth_path
+from slamcmp.experiment.job.task import Task, is_own, run_path, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
 from slamcmp.experiment.packing import Packing
 from slamcmp.experiment.planning.plan import Plan
@@ -30,7 +29,6 @@ from slamcmp.frontend.stream_file import load_stream
 from slamcmp.registry import Plugin
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.atomic import storage_error
-from slamcmp.support.code_version import PACKAGE
 from slamcmp.support.memory import machine_memory_mb
 from slamcmp.support.messages import LIMIT, describe, told
 from slamcmp.support.packed_files import content, remove
@@ -56,8 +54,10 @@ class Schedule:
         watcher: Watcher,
         experiment: Experiment,
         stop: threading.Event,
+        *,
+        alone: bool = False,
     ) -> None:
-        self._stop = stop
+        self._stop, self._alone = stop, alone
         self._folder, self._workers, self._watcher = folder, workers, watcher
         self._stream_time_limit_s = experiment.stream_time_limit_s
         self._one_stream = len({trial.stream.key for trial in plan.trials}) == 1
@@ -190,7 +190,7 @@ class Schedule:
             data=job.data,
             watched=any("user_file" in plugin.traits for plugin in plugins),
             declared=tuple(map(_says_what_it_reads, plugins)),
-            shares_process=all(map(_is_own, plugins)),
+            shares_process=all(map(is_own, plugins)),
         )
 
     def _run_task(self, job: RunJob) -> Task:
@@ -212,7 +212,8 @@ class Schedule:
             data=job.data,
             watched="user_file" in plugin.traits,
             declared=(_says_what_it_reads(plugin),),
-            shares_process=_is_own(plugin),
+            alone=self._alone,
+            shares_process=is_own(plugin) and not self._alone,
         )
 
     def _finish(self, ended: Ended) -> None:
@@ -365,14 +366,6 @@ class Schedule:
             if task.log.stat().st_size:
                 return f"; its output is in {task.log}"
         return ""
-
-
-def _is_own(plugin: Plugin) -> bool:
-    """Whether it comes with this package: nothing that it leaves in its process is in another job's way."""
-    target = plugin.target
-    while isinstance(target, functools.partial):
-        target = target.func
-    return "user_file" not in plugin.traits and str(target.__module__).startswith(f"{PACKAGE.name}.")
 
 
 def _says_what_it_reads(plugin: Plugin) -> bool:

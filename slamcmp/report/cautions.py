@@ -29,6 +29,10 @@ FAR_CHANCE = float(chdtrc(2, FAR_SIGMAS**2))
 """0.011: of a chi-square variable of two degrees of freedom."""
 FAR_BY_LUCK = 0.02
 """Probability of that many far runs below which a caution is given."""
+WAITED = 1.1
+"""Wall time over processor time above which the median run was disturbed."""
+SHORTEST_S = 0.02
+"""Runs that took less are told by no clock of the system."""
 SURE = 0.998
 """Two-sided share of the ANEES band: one false caution in a thousand grid points."""
 
@@ -297,11 +301,46 @@ def _no_times(results: Results) -> Caution | None:
 
 
 def _shared_machine(results: Results) -> Caution | None:
-    """Jobs side by side disturb each other's times; errors and covariances they leave alone."""
+    """Jobs side by side disturb each other's times; errors and covariances they leave alone.
+
+    How much they did is told by what a run waited: wall time over processor time.
+    """
     jobs = results.manifest.get("jobs") or 1
-    if jobs < 2 or results.manifest.get("config", {}).get("record"):
+    if results.manifest.get("config", {}).get("record"):
         return None
+    ok = results.trials[results.trials["status"] == "ok"]
+    alone = "timed_alone" in ok and bool(len(ok)) and bool(ok["timed_alone"].eq(True).all())
+    waited = _waited(ok)
+    if waited is not None and waited[0] > WAITED:
+        typical, most, who = waited
+        by = "Other programs" if alone or jobs < 2 else f"{jobs} jobs side by side"
+        return Caution(
+            f"{by} disturbed the times",
+            f"In the median a run took {typical:.2f} times its own processor time ({who}: {most:.2f} times): "
+            "the rest of it, it waited. Compare estimate_processor_s, or run with --times on a quiet "
+            "machine.",
+        )
+    if jobs < 2 or alone:
+        return None
+    little = ""
+    if waited is not None:
+        little = (
+            f"A run took {waited[0]:.2f} times its own processor time in the median, so hardly one waited "
+            "for a core; memory and caches were shared all the same. "
+        )
     return Caution(
         f"Times were measured with {jobs} jobs side by side",
-        "They show orders of magnitude. To compare times, run with --jobs 1 on a quiet machine.",
+        f"{little}They show orders of magnitude. To compare times, run with --times on a quiet machine.",
     )
+
+
+def _waited(ok: pd.DataFrame) -> tuple[float, float, str] | None:
+    """Wall time over processor time: its median over the runs, its largest, and whose that is."""
+    if not {"estimate_wall_s", "estimate_processor_s"} <= set(ok.columns):
+        return None
+    known = ok[ok["estimate_processor_s"] > SHORTEST_S]
+    if known.empty:
+        return None
+    ratios = (known["estimate_wall_s"] / known["estimate_processor_s"]).to_numpy(float)
+    worst = known.iloc[int(ratios.argmax())]
+    return float(np.median(ratios)), float(ratios.max()), f"{worst['label']}, trial {worst['trial']}"

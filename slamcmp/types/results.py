@@ -118,6 +118,10 @@ class Run:
     final_diagnostics: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mb: float = float("nan")
     """Growth of the process's peak resident memory over the run [MB]."""
+    wall_s: float = float("nan")
+    """Wall time of all that the back end did, from its construction to its last answer [s]."""
+    processor_s: float = float("nan")
+    """Processor time of its process meanwhile, all threads [s]: where the wall time is longer, it waited."""
     versions: Mapping[str, str] = field(default_factory=dict)
 
     @property

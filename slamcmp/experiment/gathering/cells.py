@@ -47,6 +47,7 @@ def row_without_result(keys: Mapping[str, Any], fault: Fault) -> dict[str, Any]:
         "frames": 0,
         "reference": "none",
         **dict.fromkeys(COST_COLUMNS, math.nan),
+        "timed_alone": False,
         **FINDINGS,
     }
 
@@ -54,7 +55,7 @@ def row_without_result(keys: Mapping[str, Any], fault: Fault) -> dict[str, Any]:
 def trial_columns(trials: Sequence[Trial], found: Sequence[str]) -> list[str]:
     """Every column of the trials table; those ``found`` in rows stand behind those that are always there."""
     swept = list(trials[0].swept) if trials else []
-    outcome = ["status", "message", "completion", "frames", "reference", *COST_COLUMNS]
+    outcome = ["status", "message", "completion", "frames", "reference", *COST_COLUMNS, "timed_alone"]
     columns = [*KEYS, *swept, *outcome, *FINDINGS, *metric_columns()]
     return list(dict.fromkeys([*columns, *found]))
 

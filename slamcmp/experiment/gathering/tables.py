@@ -328,6 +328,7 @@ class _Gathering:
             **scores,
             **({} if known.association is None else association_scores(known.association)),
             **outcome(run.run, run.completion, reference),
+            "timed_alone": run.timed_alone,
             **inspector.findings(run.run),
             **recorded,
         }

@@ -63,6 +63,8 @@ def run_back_end(
     beat = [0.0] * BEATS if heartbeat is None else heartbeat
     memory = PeakMemory()
     beat[0] = time.monotonic()
+    began = time.perf_counter(), time.process_time()
+    took = [float("nan")] * 2
     back_end: BackEnd | None = None
 
     def feed() -> str:
@@ -82,6 +84,8 @@ def run_back_end(
             **collected.fields(),
             **hindsight,
             peak_memory_mb=memory.growth_mb() if after_frame is None else float("nan"),
+            wall_s=took[0],
+            processor_s=took[1],
         )
 
     hindsight: dict[str, Any] = {}
@@ -103,6 +107,8 @@ def run_back_end(
         if after_frame is not None and "final_s" in hindsight:
             hindsight["final_s"] = float("nan")
     beat[3] = time.monotonic()
+    if after_frame is None:
+        took[:] = time.perf_counter() - began[0], time.process_time() - began[1]
     return run(hindsight)
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from slamcmp.experiment.config.record import Record
+from slamcmp.registry import Plugin
+from slamcmp.support.code_version import PACKAGE
 
 BEATS = 5
 """Numbers in a heartbeat: the time of the start, the frames done, the times of the last frame and of the last
@@ -45,6 +48,8 @@ class Task:
     declared: tuple[bool, ...] = (False,)
     """Of each plug-in whether somebody vouches for what nobody sees: it is our own, or its author says which
     files it reads."""
+    alone: bool = False
+    """Whether no other job runs beside it: its times are then the back end's own."""
     shares_process: bool = False
     """Whether other such jobs may run before and after it in one process: all its plug-ins are our own."""
 
@@ -77,3 +82,11 @@ def stream_path(folder: Path, digest: str) -> Path:
 def truth_path(folder: Path, key: str) -> Path:
     """Where the truth of the stream job of that key lies: never in the file that back ends are fed from."""
     return folder / "streams" / f"{key}.truth.npz"
+
+
+def is_own(plugin: Plugin) -> bool:
+    """Whether it comes with this package: nothing that it leaves in its process is in another job's way."""
+    target = plugin.target
+    while isinstance(target, functools.partial):
+        target = target.func
+    return "user_file" not in plugin.traits and str(target.__module__).startswith(f"{PACKAGE.name}.")

@@ -127,7 +127,8 @@ def _run(task: Task, heartbeat: MutableSequence[float], shared: SharedArrays | N
     if recorder is not None and recorder.posteriors:
         save_posteriors(recorder.posteriors, posteriors_path(task.folder, task.key))
     # Only now: while the back end runs, the truth is not in its process, unless it asks for it by its trait.
-    save_run(replace(scored(run, _truth(task)), inputs=inputs(task, opened)), task.result)
+    stored = replace(scored(run, _truth(task)), inputs=inputs(task, opened), timed_alone=task.alone)
+    save_run(stored, task.result)
     return run.status
 
 

@@ -14,7 +14,14 @@ from slamcmp.metrics import frame_table, landmark_table, score_run
 from slamcmp.results.store import Results
 from slamcmp.types import GroundTruth, Run
 
-COST_COLUMNS = ("update_s", "estimate_s", "final_s", "peak_memory_mb")
+COST_COLUMNS = (
+    "update_s",
+    "estimate_s",
+    "final_s",
+    "peak_memory_mb",
+    "estimate_wall_s",
+    "estimate_processor_s",
+)
 
 
 def results_of_runs(runs: Sequence[Run], truth: GroundTruth | None = None) -> Results:
@@ -75,4 +82,6 @@ def outcome(run: Run, completion: float, reference: str) -> dict[str, Any]:
         "estimate_s": float(run.estimate_s.sum()) if run.estimate_s.size else math.nan,
         "final_s": run.final_s,
         "peak_memory_mb": run.peak_memory_mb,
+        "estimate_wall_s": run.wall_s,
+        "estimate_processor_s": run.processor_s,
     }

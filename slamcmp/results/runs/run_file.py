@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -33,6 +34,8 @@ RUN_HEADER = (
     "peak_memory_mb",
     "versions",
 )
+LATER = ("wall_s", "processor_s")
+"""Numbers of a run's header that files of older versions do not have."""
 SERIES = "diagnostics/"
 Stored = TypeVar("Stored")
 
@@ -49,6 +52,8 @@ class StoredRun:
     """What was read beside what the key names, by path: digests."""
     scored_against: str = ""
     """Digest of the truth; the stream's own digest does not cover it."""
+    timed_alone: bool = False
+    """Whether no other job ran beside it."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,8 @@ def save_run(stored: StoredRun, path: Path) -> None:
     run = stored.run
     header = {
         "format": RUN_FORMAT,
-        **{name: getattr(run, name) for name in RUN_HEADER},
+        **{name: getattr(run, name) for name in (*RUN_HEADER, *LATER)},
+        "timed_alone": stored.timed_alone,
         "scores": dict(stored.scores),
         "completion": stored.completion,
         "inputs": dict(stored.inputs),
@@ -166,6 +172,7 @@ def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stored
     assert online is not None
     run = Run(
         **{name: header[name] for name in RUN_HEADER},
+        **{name: header.get(name, math.nan) for name in LATER},
         online=online,
         final=_trajectory("final", arrays),
         update_s=arrays["update_s"],
@@ -182,6 +189,7 @@ def _rebuild_run(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Stored
         header["completion"],
         header.get("inputs", {}),
         header.get("scored_against", ""),
+        header.get("timed_alone", False),
     )
 
 
