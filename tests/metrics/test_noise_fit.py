@@ -135,6 +135,29 @@ def test_the_command_never_opens_the_truth_and_its_yaml_can_be_pasted(tmp_path, 
 
 
 @pytest.mark.parametrize(
+    ("sensor", "column", "stated", "drawn"),
+    [
+        ("range_only", "bearing_rad", "range_sigma_m=0.1", 0.05),
+        ("bearing_only", "range_m", "bearing_sigma_rad=0.02", 0.01),
+    ],
+)
+def test_the_noise_of_a_range_or_a_bearing_alone(
+    tmp_path, monkeypatch, capsys, sensor, column, stated, drawn
+):
+    monkeypatch.chdir(tmp_path)
+    files = Drive(seconds=40).write(tmp_path)
+    titles, *rows = files["detections"].read_text().splitlines()
+    kept = [k for k, title in enumerate(titles.split(",")) if title != column]
+    lines = [",".join(row.split(",")[k] for k in kept) for row in (titles, *rows)]
+    files["detections"].write_text("\n".join(lines) + "\n")
+    words = ["odometry.csv", "detections.csv", f"--set=sensor={sensor}", f"--set={stated}"]
+    app(["noise", "fit", *words], standalone_mode=False)
+    told = capsys.readouterr().out.splitlines()
+    values = dict(line.split(": ", 1) for line in told if not line.startswith("#"))
+    assert float(values[stated.split("=")[0]]) == pytest.approx(drawn, rel=0.15)
+
+
+@pytest.mark.parametrize(
     ("words", "message"),
     [
         (["quickstart"], "no parameter sets the noise; recording and mrclam have some"),
