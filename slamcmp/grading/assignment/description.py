@@ -336,15 +336,14 @@ def _unfilled(message: str) -> str:
 
 def changed_functions(solution: str, mutant: str) -> frozenset[str]:
     """Top-level functions and classes whose text differs, and all that mention them, directly or not."""
-    before, after = (
-        {name: ast.dump(node) for name, node in _definitions(each)} for each in (solution, mutant)
-    )
-    mentions: dict[str, set[str]] = {}
-    for name, node in (*_definitions(solution), *_definitions(mutant)):
-        mentions.setdefault(name, set()).update(
-            each.id for each in ast.walk(node) if isinstance(each, ast.Name)
-        )
-    changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    before, after = _definitions(solution), _definitions(mutant)
+    mentions: dict[str, frozenset[str]] = {name: mentioned for name, (_, mentioned) in before.items()}
+    changed = set()
+    for name in before.keys() | after.keys():
+        (old, used), (new, used_now) = (side.get(name, ("", frozenset())) for side in (before, after))
+        if old != new:
+            changed.add(name)
+        mentions[name] = used | used_now
     if not changed:
         # Something outside of all functions: it may show anywhere.
         return frozenset(before)
@@ -353,12 +352,23 @@ def changed_functions(solution: str, mutant: str) -> frozenset[str]:
     return frozenset(changed)
 
 
-def _definitions(source: str) -> list[tuple[str, ast.stmt]]:
-    return [
-        (node.name, node)
-        for node in ast.parse(source).body
-        if isinstance(node, ast.FunctionDef | ast.ClassDef)
-    ]
+@functools.lru_cache(maxsize=8)
+def _definitions(source: str) -> dict[str, tuple[str, frozenset[str]]]:
+    """Top-level functions and classes: their text, and the names that stand in them."""
+    lines = source.splitlines()
+    found = {}
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            first = min([node.lineno, *(each.lineno for each in node.decorator_list)])
+            text = "\n".join(lines[first - 1 : node.end_lineno])
+            found[node.name] = text, _names_in(text)
+    return found
+
+
+@functools.lru_cache(maxsize=512)
+def _names_in(text: str) -> frozenset[str]:
+    """Most functions of a mutant are the solution's, and looked at once."""
+    return frozenset(each.id for each in ast.walk(ast.parse(text)) if isinstance(each, ast.Name))
 
 
 def _digest(folder: Path) -> str:
