@@ -42,6 +42,7 @@ def drives() -> Iterator[tuple[str, Log]]:
 
 def measure(log: Log) -> dict[str, dict[str, float]]:
     # Read beforehand: what an image costs to read or render does not count.
+    assert log.images is not None
     images: list[CameraFrame] = [log.images[k] for k in range(log.t.size)]
     log = Log(**{**vars(log), "images": images})
     seconds: dict[int, list[float]] = {levels: [] for levels in LEVELS}

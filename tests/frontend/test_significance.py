@@ -158,3 +158,27 @@ def test_distinct_matches_are_those_of_distinct_features() -> None:
     assert distinct(np.repeat(grid, 2, axis=0), np.repeat(grid, 2, axis=0), 1.0) == 16
     pairs = np.array(list(combinations(range(16), 2)))
     assert distinct(grid[pairs[:, 0]], grid[pairs[:, 1]], 1.0) == 15
+
+
+@pytest.mark.parametrize("columns", [40, 64])
+def test_corners_of_a_pattern_that_repeats_matched_at_random_are_chance(columns: int) -> None:
+    """They stand in rows: a geometry that takes a row for a row holds for one in so many of any matches."""
+    grid = np.stack(np.meshgrid(np.arange(20, 640, columns), np.arange(20, 480, 40)), -1).reshape(-1, 2)
+    wrong = 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        first, second = (
+            grid[rng.integers(0, len(grid), 500)] + rng.normal(0, 0.2, (500, 2)) for _ in range(2)
+        )
+        wrong += verify_matches(first, second, seed=seed).geometry is not Geometry.CHANCE
+    assert wrong == 0
+
+
+def test_a_rectified_pair_whose_matches_come_row_by_row_is_no_chance() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        first = rng.uniform(0, [640, 480], (40, 2))
+        first = first[np.argsort(first[:, 1])]
+        second = first - np.column_stack([rng.uniform(5, 60, 40), np.zeros(40)])
+        second += rng.normal(0, 0.2, (40, 2))
+        assert verify_matches(first, second, seed=seed).geometry is Geometry.EPIPOLAR

@@ -74,6 +74,9 @@ _HOMOGRAPHY_SAMPLE = 4
 _OFF_MODEL_SHARE = 0.05
 """F is determined if more than this share of its inliers (and more than eight) contradict the homography:
 an F fitted around a homography is free to pick up that many wrong matches."""
+_EXCHANGES = (0.236, 0.382, 0.618)
+"""By what share of all places partners are moved on, to make matches that have nothing to do with each other:
+far, for neighbours in the list may be neighbours in the image."""
 _TURNED_OVER = -0.5
 """Of the correlation below: a mirrored image's is -0.7 to -1, of pairs of a moving camera above 0."""
 
@@ -128,13 +131,13 @@ def verify_matches(
     agree = int(fit.inliers.sum())
     off_plane = int((fit.inliers & ~on_plane).sum())
     if H is not None and off_plane <= max(fundamental.SAMPLE, _OFF_MODEL_SHARE * agree):
-        if not _more_than_chance(one, two, on_plane, threshold_px, plane=True):
+        if not _more_than_chance(one, two, on_plane, threshold_px, H=H):
             return answer(Geometry.CHANCE, none, iterations=fit.iterations)
         if _is_mirrored(one[on_plane], two[on_plane]):
             return answer(Geometry.MIRRORED, none, iterations=fit.iterations)
         geometry = _which_homography(one[on_plane], two[on_plane], K, _HOMOGRAPHY_FACTOR * threshold_px)
         return answer(geometry, on_plane, H=H, iterations=fit.iterations)
-    if fit.F is None or not _more_than_chance(one, two, fit.inliers, threshold_px):
+    if fit.F is None or not _more_than_chance(one, two, fit.inliers, threshold_px, F=fit.F):
         return answer(Geometry.CHANCE, none, iterations=fit.iterations)
     if _is_mirrored(one[fit.inliers], two[fit.inliers]):
         return answer(Geometry.MIRRORED, none, iterations=fit.iterations)
@@ -185,15 +188,36 @@ def _homography(
 
 
 def _more_than_chance(
-    first: FloatArray, second: FloatArray, inliers: BoolArray, threshold_px: float, *, plane: bool = False
+    first: FloatArray,
+    second: FloatArray,
+    inliers: BoolArray,
+    threshold_px: float,
+    *,
+    F: FloatArray | None = None,
+    H: FloatArray | None = None,
 ) -> bool:
-    if plane:
+    """Whether as many inliers of F, or of H, are no chance.
+
+    A random match obeys a model more often than areas say where the points themselves stand in rows, as those
+    of a pattern that repeats do; exchanging the partners tells how often.
+    """
+    others = np.concatenate([np.roll(second, round(share * len(second)), axis=0) for share in _EXCHANGES])
+    of_first = np.tile(first, (len(_EXCHANGES), 1))
+    if H is not None:
         radius = _HOMOGRAPHY_FACTOR * threshold_px
         sample, probability = _HOMOGRAPHY_SAMPLE, chance_at_point(first, second, radius)
+        exchanged = transfer_distance(H, of_first, others) <= radius
     else:
+        assert F is not None
         sample, probability = fundamental.SAMPLE, chance_on_line(first, second, threshold_px)
+        exchanged = fundamental.sampson_distance(F, of_first, others) <= threshold_px
     return significant(
-        first, second, inliers, sample=sample, probability=probability, apart_px=max(5.0 * threshold_px, 5.0)
+        first,
+        second,
+        inliers,
+        sample=sample,
+        probability=max(probability, float(exchanged.mean())),
+        apart_px=max(5.0 * threshold_px, 5.0),
     )
 
 
