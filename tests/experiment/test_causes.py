@@ -13,7 +13,7 @@ from slamcmp.experiment.conformance.bench import COMMON, WORLDS, Bench, make_wor
 from slamcmp.experiment.conformance.causes import AGREES, _claims, _difference, _Mistakes, cause, errorless
 from slamcmp.geometry import se2
 from slamcmp.registry import Plugin, back_ends
-from slamcmp.types import Estimate, FloatArray, Frame, Problem
+from slamcmp.types import Estimate, FloatArray, Frame, Landmarks, Problem
 
 
 class WorldAxes:
@@ -133,6 +133,24 @@ def test_each_fault_has_its_name(fault: str) -> None:
 def test_two_faults_at_once_are_given_no_name(faults: dict[str, Any]) -> None:
     told = cause(bench_of(partial(WorldAxes, **faults)))
     assert told.startswith("cause not found: on a stream without errors its covariance first differs"), told
+
+
+class TurnedMap(WorldAxes):
+    """Right, but for the axes in which it reports its landmarks' covariances."""
+
+    def landmarks(self) -> Landmarks:
+        starts = list(self.at.values())
+        D = self.turn()[:2, :2]
+        turned = self.fault("turned", True)
+        blocks = [self.P[i : i + 2, i : i + 2] for i in starts]
+        covariances = np.array([D.T @ each @ D if turned else each for each in blocks])
+        return Landmarks(np.array(list(self.at)), np.array([self.x[i : i + 2] for i in starts]), covariances)
+
+
+def test_map_that_is_reported_wrong_is_no_fault_of_the_filter() -> None:
+    assert "landmarks() and joint_covariance() report in world axes" in cause(bench_of(TurnedMap))
+    right = cause(bench_of(partial(TurnedMap, turned=False)))
+    assert right.startswith("its covariance is right where measurements have no errors")
 
 
 def test_fault_of_the_mean_is_not_sought_in_the_covariance() -> None:

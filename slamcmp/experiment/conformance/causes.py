@@ -28,6 +28,7 @@ from slamcmp.backends.entries import places_by_itself
 from slamcmp.backends.filters.covariance import block_diagonal
 from slamcmp.experiment.conformance.bench import Bench, run
 from slamcmp.geometry import adjoint_of_inverse, inverse, transform
+from slamcmp.protocols import Mapper
 from slamcmp.types import FloatArray, Frame, GroundTruth, MeasurementStream
 
 AGREES = 1e-3
@@ -132,6 +133,13 @@ def cause(bench: Bench) -> str:
     right = _claims(stream, truth, _Mistakes())
     off = _difference(claimed, right)
     if off.max() < AGREES:
+        unlike = _unlike_landmarks(bench, stream, truth)
+        if unlike is not None:
+            return (
+                "cause not found: on a stream without errors its pose's covariance is an EKF's and landmark "
+                f"{unlike}'s is not; is what landmarks() and joint_covariance() report in world axes, and in "
+                "the order of its ids?"
+            )
         return (
             "its covariance is right where measurements have no errors, so Q, R, new landmarks and the "
             "equations of P are; what is left is how errors enter: a gain or an innovation that is not the "
@@ -202,10 +210,34 @@ def _fitted(
     return float(np.exp(minimize_scalar(distance, bounds=(-9.0, 9.0), method="bounded").x))
 
 
+def _unlike_landmarks(bench: Bench, stream: MeasurementStream, truth: GroundTruth) -> int | None:
+    """A landmark of the last map whose own covariance is not the textbook's; None without one."""
+    back_end = bench.new(stream, truth)
+    for frame in stream.frames:
+        back_end.update(frame)
+    if not isinstance(back_end, Mapper):
+        return None
+    landmarks = back_end.landmarks()
+    _, P, at = _filtered(stream, truth, _Mistakes())
+    n = stream.problem.sensor.space_dim
+    for name, block in zip(landmarks.ids.tolist(), landmarks.covariances, strict=True):
+        i = at.get(name)
+        if i is None or not _difference(block[None], P[None, i : i + n, i : i + n]).max() < AGREES:
+            return int(name)
+    return None
+
+
 def _claims(
     stream: MeasurementStream, truth: GroundTruth, mistakes: _Mistakes, order: str = "new first"
 ) -> FloatArray:
     """The pose's covariances (K, p, p) of an EKF with these mistakes on a stream without errors."""
+    return _filtered(stream, truth, mistakes, order)[0]
+
+
+def _filtered(
+    stream: MeasurementStream, truth: GroundTruth, mistakes: _Mistakes, order: str = "new first"
+) -> tuple[FloatArray, FloatArray, Mapping[int, int]]:
+    """Those, the last joint covariance, and where in it each landmark begins."""
     p, n = len(stream.problem.P), stream.problem.sensor.space_dim
     at: dict[int, int] = {}
     row = {name: k for k, name in enumerate(truth.ids.tolist())}
@@ -232,7 +264,7 @@ def _claims(
                 P = _grown(P, stream, frame, T, truth.positions[row[names[turn]]], turn, mistakes)
                 at[names[turn]] = len(P) - n
         claims.append(P[:p, :p])
-    return np.array(claims)
+    return np.array(claims), P, at
 
 
 def _moved(P: FloatArray, frame: Frame, p: int, mistakes: _Mistakes) -> FloatArray:
