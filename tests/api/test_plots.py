@@ -25,6 +25,7 @@ CANNOT = {
     "regimes": "0 paths were swept, and a map needs two or three",
     "honesty": "0 paths were swept, and a map needs two or three",
     "gain": "0 paths were swept, and a map needs two or three",
+    "sparsity": "the stream is not there any more",
     "decisions": "no stream of a front end without labels",
     "frontier": "0 paths were swept, and a map needs two or three",
     "kl_from_batch": "no run was compared",

@@ -237,14 +237,21 @@ def test_in_a_browser_measurements_follow_the_slider_on_phone_and_desktop(driven
         "getComputedStyle(document.body).backgroundColor",
         "[...document.querySelectorAll('.live, .player')]"
         ".every(e => e.getBoundingClientRect().right <= innerWidth)",
+        "Math.min(...[...document.querySelectorAll('tbody tr > :first-child')].map(e => e.clientWidth))",
+        "[...document.querySelectorAll('.live')].every(box => {const legend = box.querySelector('.legend');"
+        " return !legend || [...box.querySelectorAll('[class*=xtitle]')].every(title =>"
+        " title.getBoundingClientRect().bottom <= legend.getBoundingClientRect().top + 1);})",
     ]
-    (inner, _, (xs, ys), fits, back, inside), said = asyncio.run(
+    (inner, _, (xs, ys), fits, back, inside, narrowest, apart), said = asyncio.run(
         browse(page, tmp_path / "profile", steps, width, theme)
     )
     assert said == []
     assert inner == width
     assert fits
     assert inside
+    # A name is not broken letter by letter, and no legend lies on an axis' title.
+    assert narrowest > 60
+    assert apart
     assert (back == "rgb(255, 255, 255)") == (theme == "light")
     trial = typical_trial(driven)
     own = driven.frames[(driven.frames["trial"] == trial) & (driven.frames["label"] == "ekf_slam")]

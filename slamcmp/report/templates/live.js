@@ -16,7 +16,7 @@ function axis(title, more) {
 function layout(rows, height) {
   return {height: height * rows + 90, margin: {l: 10, r: 10, t: 24, b: 10}, paper_bgcolor: "rgba(0,0,0,0)",
     plot_bgcolor: "rgba(0,0,0,0)", font: {color: css("--text"), size: 12}, hovermode: "closest",
-    legend: {orientation: "h", y: -0.08, yanchor: "top"}, dragmode: small() ? false : "zoom", shapes: []};
+    legend: {orientation: "h", y: -58 / (height * rows), yanchor: "top"}, dragmode: small() ? false : "zoom", shapes: []};
 }
 const span = (index, count, gap) => {
   const size = (1 - gap * (count - 1)) / count, top = 1 - index * (size + gap);
@@ -83,7 +83,6 @@ function map(figure, box) {
   const runs = figure.runs, columns = small() ? 1 : Math.min(3, runs.length), rows = Math.ceil(runs.length / columns);
   const shown = [], page = layout(rows, small() ? 320 : 420), moving = [], seen = new Set();
   page.annotations = [];
-  page.legend.y = small() ? -0.06 : -0.16;
   const add = (name, trace, n) => {
     shown.push({mode: "lines", name, legendgroup: name, showlegend: !seen.has(name), xaxis: "x" + n, yaxis: "y" + n,
       ...trace});
