@@ -22,6 +22,8 @@ UNITS = {
     "m_s": "m/s",
     "deg_s": "°/s",
     "rad_s": "rad/s",
+    "m_s_sqrt_s": "m/s √s",
+    "rad_s_sqrt_s": "rad/s √s",
     "m_sqrt_s": "m/√s",
     "rad_sqrt_s": "rad/√s",
     "per_m": "per m",
