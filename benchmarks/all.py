@@ -106,6 +106,14 @@ def of_ensemble(found: Any) -> list[tuple[str, float, float | None]]:
     ]
 
 
+def of_levels(found: Any) -> list[tuple[str, float, float | None]]:
+    return [
+        (f"{drive}, {levels.removeprefix('levels_')} levels over one", row["time_ratio"], None)
+        for drive, each in found.items()
+        for levels, row in each.items()
+    ]
+
+
 Reader = Callable[[Any], Sequence[tuple[str, float, float | None]]]
 BENCHMARKS: dict[str, tuple[tuple[str, ...], Reader | None]] = {
     "ekf": (("ekf.py", "--json"), of_ekf),
@@ -114,6 +122,7 @@ BENCHMARKS: dict[str, tuple[tuple[str, ...], Reader | None]] = {
     "monte_carlo": (("monte_carlo.py", "--runs", "10", "--json"), of_monte_carlo),
     "isam2": (("isam2.py", "--json"), of_isam2),
     "front_end": (("front_end.py", "--json"), of_front_end),
+    "levels": (("levels.py",), of_levels),
     "runner": (("runner.py", "--json"), of_runner),
     "trials": (("trials.py", "--json"), of_trials),
     "ensemble": (("ensemble.py", "--runs", "100", "--json"), of_ensemble),
