@@ -2,7 +2,8 @@
 
 Values are inside where they differ by at most the metric's tolerance. A pair of an order is held where the
 95 % interval of the paired ratio, worse over better, lies above 1, violated where it lies below, and a tie
-where it contains 1. What the ensemble does not have, a filter or a metric, is not measured.
+where it contains 1. Back ends that the ensemble left out are left out here; a metric that it does not have is
+not measured.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ def judge_ensemble(found: Ensemble, published: Published) -> PublishedVerdict:
     runs = {each.label: len(each.scores) - each.failures for each in found.runs}
     values = []
     for row in published.rows:
+        if row.label not in metrics:
+            continue
         for metric, value in row.values.items():
-            measured = metrics[row.label][metric].value if _has(found, row.label, metric) else math.nan
+            measured = metrics[row.label][metric].value if metric in METRICS else math.nan
             tolerance = published.tolerance.get(metric)
             verdict = "not judged" if tolerance is None else "outside"
             if not math.isfinite(measured):
@@ -31,9 +34,7 @@ def judge_ensemble(found: Ensemble, published: Published) -> PublishedVerdict:
             elif tolerance is not None and abs(measured - value) <= tolerance * abs(value):
                 verdict = "inside"
             values.append(
-                ValueVerdict(
-                    row.label, {}, metric, value, measured, tolerance, runs.get(row.label, 0), verdict
-                )
+                ValueVerdict(row.label, {}, metric, value, measured, tolerance, runs[row.label], verdict)
             )
     orders = [
         _order(found, order)
