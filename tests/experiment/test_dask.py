@@ -19,6 +19,7 @@ import pytest
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.executors import dask_cluster, remote_job
+from slamcmp.experiment.executors.dask_cluster import DaskCluster
 from slamcmp.experiment.executors.processes import ExecutorLostError
 from slamcmp.experiment.executors.remote_job import do, for_elsewhere, package_version
 from slamcmp.experiment.job.task import Task
@@ -139,6 +140,27 @@ def test_a_worker_that_is_killed_costs_nothing(
     assert found.manifest["jobs_run"] == 15
     monkeypatch.undo()
     same(found, run_experiment(path, folder=tmp_path / "s", executor="serial"))
+
+
+def test_files_go_to_another_worker_where_the_first_was_lost(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scheduler hears of a killed worker a moment later, and offers it until then."""
+    monkeypatch.setattr(dask_cluster, "HEARTBEAT_S", 0.01)
+    executor = DaskCluster(scheduler=cluster.address)
+    scatter, refused = executor._client.scatter, [OSError("Stream is closed")] * 2
+
+    def once_more(*arguments: Any, **options: Any) -> Any:
+        if refused:
+            raise refused.pop()
+        return scatter(*arguments, **options)
+
+    monkeypatch.setattr(executor._client, "scatter", once_more)
+    assert executor._scattered({"a": b"1"}).result() == {"a": b"1"}
+    refused.extend([OSError("Stream is closed")] * 3)
+    with pytest.raises(ExecutorLostError, match="is gone"):
+        executor._scattered({"a": b"1"})
+    executor.close()
 
 
 def test_a_client_that_is_killed_goes_on_where_it_was(cluster: Cluster, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="th
 # Writes to every descriptor there may be, the reply pipe among them.
 _SCRIBBLE = """
 import os
-for descriptor in range(1, 30):
+for descriptor in range(1, 1000):
     try:
         os.write(descriptor, b"x" * 99)
     except OSError:

@@ -33,6 +33,8 @@ AHEAD = 2
 STREAMS_KEPT = 64
 """Streams that stay with the cluster for runs to come."""
 ASK_EVERY_S = 2.0
+HEARTBEAT_S = 1.0
+"""In which a scheduler notices that a worker on its machine was killed."""
 TRIES = 3
 """Times that a job is sent out again after it was lost; one that ends its machine is not sent for ever."""
 
@@ -166,13 +168,30 @@ class DaskCluster:
                 except OSError:
                     # The job itself says what it lacks.
                     continue
-            # In a list: a mapping would be scattered value by value.
-            (kept,) = self._client.scatter([files], hash=False)
+            kept = self._scattered(files)
         self._streams[task.digest] = kept
         self._streams.move_to_end(task.digest)
         while len(self._streams) > STREAMS_KEPT:
             self._streams.popitem(last=False)
         return kept
+
+    def _scattered(self, files: Mapping[str, bytes]) -> Any:
+        """Files handed to a worker; to another one where the first was lost and the scheduler did not know yet.
+
+        Raises:
+            ExecutorLostError: nobody is there any more to take them.
+        """
+        for _ in range(TRIES):
+            try:
+                # In a list: a mapping would be scattered value by value.
+                (kept,) = self._client.scatter([files], hash=False)
+            except (OSError, TimeoutError) as error:
+                if self._client.status != "running":
+                    raise _lost(self.address) from error
+                time.sleep(HEARTBEAT_S)
+            else:
+                return kept
+        raise _lost(self.address)
 
     def _taken(self, task: Task, future: Any) -> Ended | None:
         """How a job ended, its files put where they belong; None where it goes on here."""
