@@ -176,7 +176,7 @@ class DaskCluster:
         return kept
 
     def _scattered(self, files: Mapping[str, bytes]) -> Any:
-        """Files handed to a worker; to another one where the first was lost and the scheduler did not know yet.
+        """Files handed to a worker; to another where the first was lost and the scheduler did not know yet.
 
         Raises:
             ExecutorLostError: nobody is there any more to take them.
