@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slamcmp.datasets.plain.clock_offset import LARGE_S, ClockOffset, clock_offset
 from slamcmp.datasets.plain.column_files import Table, read_table
 from slamcmp.datasets.plain.plain_motion import KINDS, Motion, read_motion
 from slamcmp.datasets.plain.plain_roles import Role, roles_of
@@ -28,7 +29,8 @@ LONG_GAP_S = 0.5
 """What is interpolated over a longer gap is compared with nothing."""
 OFFSETS_S: FloatArray = np.linspace(-2.0, 2.0, 401)
 """Clock offsets that are tried."""
-LARGE_OFFSET_S = 0.03
+GRID_S = 0.02
+"""Between the instants at which rates are compared."""
 LARGE_SCALE = 0.02
 """Of odometry against truth: share of the distance, or of the turns."""
 OUTLIER_SIGMAS = 5.0
@@ -42,9 +44,8 @@ class AgainstTruth:
     """Odometry beside the truth."""
 
     offsets_s: FloatArray
-    misfit: FloatArray
-    """At each offset one minus the correlation of speeds, and the same of yaw rates, added."""
-    offset_s: float
+    clock: ClockOffset
+    """What each of them gives."""
     speeds: tuple[FloatArray, FloatArray]
     """The odometry's [m/s] and the truth's, at the same instants by that offset."""
     turns: tuple[FloatArray, FloatArray]
@@ -200,7 +201,7 @@ def _outside(known: FloatArray, t: FloatArray, name: str, report: Report, of: st
 def _against_truth(motion: Motion, truth: tuple[Path, FloatArray, FloatArray], report: Report) -> None:
     """Clock offset and scale of the odometry."""
     path, stamps, poses = truth
-    grid = np.arange(max(motion.t[0], stamps[0]) + 2.5, min(motion.t[-1], stamps[-1]) - 2.5, 0.02)
+    grid = np.arange(max(motion.t[0], stamps[0]) + 2.5, min(motion.t[-1], stamps[-1]) - 2.5, GRID_S)
     apart = _far_from_gaps(grid, motion.t) & _far_from_gaps(grid, stamps)
     # A log that is nothing but gaps is compared as it is.
     grid = grid[apart] if apart.sum() >= 100 else grid
@@ -223,28 +224,20 @@ def _against_truth(motion: Motion, truth: tuple[Path, FloatArray, FloatArray], r
         return rate
 
     own = rates(motion.t, grid, turned), rates(motion.t, grid, driven)
-    misfit = []
-    for offset in OFFSETS_S:
-        theirs = rates(stamps, grid + offset, heading), rates(stamps, grid + offset, path_length)
-        misfit.append(
-            sum(
-                1 - np.corrcoef(a, b)[0, 1] if a.std() > 1e-6 and b.std() > 1e-6 else 1.0
-                for a, b in zip(own, theirs, strict=True)
-            )
-        )
-    offset = float(OFFSETS_S[int(np.argmin(misfit))])
-    report.facts.append(f"odometry against {path.name}: clock offset {offset:+.2f} s")
-    if abs(offset) >= LARGE_OFFSET_S:
-        who = "leads" if offset > 0 else "lags"
-        report.findings.append(
-            f"odometry {who} the truth by {abs(offset):.2f} s (from yaw rate and speed): set "
-            "odometry_offset_s to "
-            f"{offset:+.2f}"
-        )
-    theirs = rates(stamps, grid + offset, heading), rates(stamps, grid + offset, path_length)
-    report.against_truth = AgainstTruth(
-        OFFSETS_S, np.array(misfit), offset, (own[1], theirs[1]), (own[0], theirs[0])
+    found = clock_offset(
+        own,
+        lambda offset: (
+            rates(stamps, grid + offset, heading),
+            rates(stamps, grid + offset, path_length),
+        ),
+        OFFSETS_S,
+        grid.size * GRID_S,
+        max(2 * half, float(np.median(np.diff(motion.t)))),
     )
+    _tell_clock(found, path, report)
+    offset = found.offset_s
+    theirs = rates(stamps, grid + offset, heading), rates(stamps, grid + offset, path_length)
+    report.against_truth = AgainstTruth(OFFSETS_S, found, (own[1], theirs[1]), (own[0], theirs[0]))
     for what, a, b in zip(("turns", "distances"), own, theirs, strict=True):
         if not a.std() > 1e-6:
             continue
@@ -256,6 +249,22 @@ def _against_truth(motion: Motion, truth: tuple[Path, FloatArray, FloatArray], r
             report.findings.append(
                 f"odometry: true {what} are {scale:.3f} times the measured ones, where 1 is expected"
             )
+
+
+def _tell_clock(found: ClockOffset, path: Path, report: Report) -> None:
+    what = f"odometry against {path.name}: clock offset"
+    if not found.tells:
+        report.facts.append(f"{what} not known: speed and yaw rate vary too little to compare clocks")
+        return
+    hidden = LARGE_S <= abs(found.offset_s) < found.resolved_s
+    within = f", which such steps do not resolve (from {found.resolved_s:.2f} s on)" if hidden else ""
+    report.facts.append(f"{what} {found.offset_s:+.2f} s{within}")
+    if found.is_large:
+        who = "leads" if found.offset_s > 0 else "lags"
+        report.findings.append(
+            f"odometry {who} the truth by {abs(found.offset_s):.2f} s (from yaw rate and speed): set "
+            f"odometry_offset_s to {found.offset_s:+.2f}"
+        )
 
 
 def _far_from_gaps(grid: FloatArray, known: FloatArray) -> NDArray[np.bool_]:

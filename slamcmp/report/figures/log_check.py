@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slamcmp.datasets.plain.log_checks import GAP, LARGE_OFFSET_S, OUTLIER_SIGMAS, ComponentErrors, Report
+from slamcmp.datasets.plain.log_checks import GAP, OUTLIER_SIGMAS, ComponentErrors, Report
 from slamcmp.report.figures.style import BAND, MARKERS, PALETTE, RC, TRUTH, new_figure
 from slamcmp.support.atomic import write_atomically
 from slamcmp.types import FloatArray
@@ -75,14 +75,18 @@ def _against_truth(offset: Axes, speeds: Axes, turns: Axes, report: Report) -> N
         for axes, title in ((offset, "Clock offset"), (speeds, "Speeds"), (turns, "Yaw rates")):
             _nothing(axes, title, "it needs odometry and\ntruth with time in common")
         return
-    offset.set(
-        title=f"Clock offset {against.offset_s:+.2f} s",
-        xlabel="offset tried [s]",
-        ylabel="1 − correlation, two added",
-    )
-    offset.axvspan(-LARGE_OFFSET_S, LARGE_OFFSET_S, color=BAND, alpha=0.6, lw=0)
-    offset.plot(against.offsets_s, against.misfit, color=PALETTE[0])
-    offset.axvline(against.offset_s, color=PALETTE[1], ls="--")
+    clock = against.clock
+    if clock.tells:
+        offset.set(
+            title=f"Clock offset {clock.offset_s:+.2f} s",
+            xlabel="offset tried [s]",
+            ylabel="1 − correlation, added",
+        )
+        offset.axvspan(-clock.resolved_s, clock.resolved_s, color=BAND, alpha=0.6, lw=0)
+        offset.plot(against.offsets_s, clock.misfit, color=PALETTE[0])
+        offset.axvline(clock.offset_s, color=PALETTE[1], ls="--")
+    else:
+        _nothing(offset, "Clock offset", "speed and yaw rate\nvary too little to tell")
     for axes, title, unit, (own, theirs) in (
         (speeds, "Speeds", "m/s", against.speeds),
         (turns, "Yaw rates", "rad/s", against.turns),
