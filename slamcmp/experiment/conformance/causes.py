@@ -120,6 +120,11 @@ FACTORS: Mapping[str, Callable[[float], _Mistakes]] = {
 """Faults of an unknown size, which is fitted."""
 
 
+KEPT = 500
+_kept: dict[tuple[str, int, str], FloatArray] = {}
+"""What textbook filters with a fault claim, by stream, fault and order: the same for whatever is checked."""
+
+
 def cause(bench: Bench) -> str:
     """In words, why a covariance does not fit its errors; or that it was not found, and how far it was."""
     sensor = bench.stream.problem.sensor
@@ -182,8 +187,23 @@ def _explains(
 ) -> bool:
     # With a mistake it makes a difference which comes first, correction or new landmarks.
     return any(
-        _difference(claimed, _claims(stream, truth, mistakes, order)).max() < AGREES for order in ORDERS
+        _difference(claimed, _kept_claims(stream, truth, mistakes, order)).max() < AGREES for order in ORDERS
     )
+
+
+def _kept_claims(
+    stream: MeasurementStream, truth: GroundTruth, mistakes: _Mistakes, order: str
+) -> FloatArray:
+    """The claims, kept for the next back end that is checked in the same world."""
+    if not any(mistakes is each for each in FAULTS.values()):
+        # Of a fitted size: nobody asks for that one again.
+        return _claims(stream, truth, mistakes, order)
+    key = (stream.digest, id(mistakes), order)
+    if key not in _kept:
+        if len(_kept) >= KEPT:
+            _kept.clear()
+        _kept[key] = _claims(stream, truth, mistakes, order)
+    return _kept[key]
 
 
 def _difference(claimed: FloatArray, other: FloatArray) -> FloatArray:
