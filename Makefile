@@ -11,14 +11,14 @@ demo: install
 	$(BIN)/slamcmp run experiments/victoria_park.yaml
 
 test: install-test
-	$(BIN)/python -m pytest -n 3 $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
 
 check: install-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 3 $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
 
 slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 $(PYTEST_ARGS)
