@@ -33,10 +33,21 @@ UNTIMED = (
 )
 """Medians over the runs, for experiments without published numbers."""
 
-QUOTED = ("dial", "filter_vs_smoother", "observability", "association", "association_shared", "victoria_park")
+QUOTED = (
+    "dial",
+    "filter_vs_smoother",
+    "observability",
+    "association",
+    "association_shared",
+    "victoria_park",
+    "plaza",
+)
 """Experiments whose numbers stand in ``docs/``."""
 OF_A_RUN = (
     *UNTIMED,
+    "online_ate_aligned",
+    "final_ate_aligned",
+    "landmark_rmse_aligned",
     "nis_per_dof",
     "nullity",
     "spurious_turn_per_rad2",
