@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,6 +18,14 @@ if TYPE_CHECKING:
     from slamcmp.results.judgements.verdict import PublishedVerdict
 
 INTERRUPTED = 130
+
+
+class Where(StrEnum):
+    """Where an ensemble runs."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
 
 
 def add_commands(app: typer.Typer) -> None:
@@ -38,9 +47,9 @@ def ensemble(
     ],
     seeds: Annotated[int, typer.Option(min=2, max=100_000_000, help="Paired runs of each filter.")] = 1000,
     target: Annotated[
-        Literal["auto", "cpu", "cuda"],
+        Where,
         typer.Option(help="Where to run; auto: a GPU where there is one (extra 'cuda'), else the cores."),
-    ] = "auto",
+    ] = Where.auto,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Threads on the CPU; default: one a core. No number changes.")
     ] = None,
@@ -105,7 +114,7 @@ def _run(
     chosen: Experiment,
     folder: Path,
     seeds: int,
-    target: Literal["auto", "cpu", "cuda"],
+    target: Where,
     workers: int | None,
     compared: int,
     *,
@@ -115,10 +124,12 @@ def _run(
     from slamcmp.ensembles.ensemble import ensemble_in_steps
     from slamcmp.ensembles.problem import ensemble_problem
     from slamcmp.ensembles.stored import load_ensemble, save_ensemble
-    from slamcmp.ensembles.targets import why_no_gpu
+    from slamcmp.ensembles.targets import Target, why_no_gpu
 
     problem = ensemble_problem(chosen)
-    where = target if target != "auto" else "cpu" if why_no_gpu() else "cuda"
+    where: Target = "cpu"
+    if target is Where.cuda or (target is Where.auto and why_no_gpu() is None):
+        where = "cuda"
     for line in () if quiet else problem.left_out:
         print(f"left out: {line}", file=sys.stderr)
     before = found = load_ensemble(problem, folder)
