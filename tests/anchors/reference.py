@@ -41,6 +41,7 @@ QUOTED = (
     "association_shared",
     "victoria_park",
     "plaza",
+    "victoria_park_gps",
 )
 """Experiments whose numbers stand in ``docs/``."""
 OF_A_RUN = (
