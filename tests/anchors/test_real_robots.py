@@ -32,7 +32,7 @@ def plaza_rows() -> list[str]:
 
 @pytest.mark.parametrize("row", plaza_rows(), ids=lambda row: row.split("|")[1].strip())
 def test_a_row_of_the_plaza_table_is_what_was_measured(row: str) -> None:
-    assert row.replace("|  |", "| |").replace("|  |", "| |") in PAGE
+    assert row.replace("|  |", "| |") in PAGE
 
 
 def gps_rows() -> list[str]:
@@ -40,7 +40,7 @@ def gps_rows() -> list[str]:
     runs = read_runs("victoria_park_gps")
     assert set(runs["status"]) == {"ok"}
     digits = [
-        (row.label, *("" if pd.isna(each) else f"{each:.3g}" for each in (row.online, row.final)))
+        (row.label, *("" if pd.isna(each) else f"{each:#.3g}" for each in (row.online, row.final)))
         for row in runs.rename(
             columns={"online_ate_aligned": "online", "final_ate_aligned": "final"}
         ).itertuples()
@@ -50,13 +50,7 @@ def gps_rows() -> list[str]:
 
 @pytest.mark.parametrize("row", gps_rows(), ids=lambda row: row.split("|")[1].strip())
 def test_a_row_of_victoria_park_s_table_is_what_was_measured(row: str) -> None:
-    assert (
-        row.replace("|  |", "| |")
-        .replace("|  |", "| |")
-        .replace("1.4 |", "1.40 |")
-        .replace("1.7 |", "1.70 |")
-        in PAGE
-    )
+    assert row.replace("|  |", "| |") in PAGE
 
 
 def test_with_hindsight_the_right_invariant_filter_is_with_batch_on_plaza() -> None:
