@@ -23,11 +23,12 @@ from slamcmp.advice.variations import Variation, variations
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.config.stop_rule import SEEDS_MAX
-from slamcmp.experiment.runner import available_cores, run_experiment
+from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.answers.candidates import FEWEST_RUNS
 from slamcmp.results.answers.recommendation import Recommendation, recommend
 from slamcmp.results.store import Results, finite
 from slamcmp.support.atomic import write_atomically
+from slamcmp.support.cores import available_cores
 
 SEEDS = 20
 TIME_LIMIT_S = 300.0

@@ -109,7 +109,7 @@ def _writable() -> str:
 
 def _machine() -> str:
     from slamcmp.experiment.gathering.manifest import cpu_name
-    from slamcmp.experiment.runner import available_cores
+    from slamcmp.support.cores import available_cores
     from slamcmp.support.memory import machine_memory_mb
 
     return f"{cpu_name()}, {available_cores()} cores, {machine_memory_mb() / 1024:.1f} GB memory"

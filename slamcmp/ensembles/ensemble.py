@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 
@@ -13,6 +12,7 @@ from slamcmp.ensembles.kernels import settings as at
 from slamcmp.ensembles.outcome import BATCHES, BLOCK, Ensemble, FilterRuns
 from slamcmp.ensembles.problem import EnsembleFilter, EnsembleProblem
 from slamcmp.ensembles.sample import deviation, sample_run
+from slamcmp.support.cores import available_cores
 from slamcmp.types import FloatArray
 
 STEP = BLOCK * BATCHES
@@ -70,7 +70,7 @@ def ensemble_in_steps(
             if target == "cuda":
                 more.append(_on_gpu(problem, which, first, last, tell))
             else:
-                more.append(_on_cores(problem, which, first, last, workers or _cores(), tell))
+                more.append(_on_cores(problem, which, first, last, workers or available_cores(), tell))
         found = found.with_more(tuple(more))
         yield found
 
@@ -83,13 +83,6 @@ def run_ensemble(problem: EnsembleProblem, seeds: int, *, workers: int | None = 
 
 def _told(progress: Progress, label: str, first: int, wanted: int) -> Callable[[int], None]:
     return lambda done: progress(label, first + done, wanted)
-
-
-def _cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count() or 1
 
 
 def _on_cores(

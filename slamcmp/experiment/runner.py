@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 import time
 from collections.abc import Sequence
@@ -29,6 +28,7 @@ from slamcmp.results.runs.gathered import AboutStream
 from slamcmp.results.runs.run_file import load_run
 from slamcmp.results.store import Results, save_results
 from slamcmp.support.atomic import remove_left_behind, write_atomically
+from slamcmp.support.cores import available_cores
 from slamcmp.support.interruption import interruptions
 from slamcmp.support.lock import locked
 from slamcmp.support.packed_files import is_there
@@ -169,13 +169,6 @@ def _untimed(trials: Sequence[Trial], folder: Path) -> dict[str, RunJob]:
             if stored is not None and stored.run.status == "ok" and not stored.timed_alone:
                 found[job.key] = job
     return found
-
-
-def available_cores() -> int:
-    """Cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class _Rounds:

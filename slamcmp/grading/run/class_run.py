@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import hmac
 import json
-import os
 import signal
 import threading
 import time
@@ -42,6 +41,7 @@ from slamcmp.grading.run.grade_process import (
 )
 from slamcmp.support.atomic import write_atomically
 from slamcmp.support.code_version import code_version, versions
+from slamcmp.support.cores import available_cores
 from slamcmp.support.lock import locked
 from slamcmp.support.progress import Watcher
 
@@ -128,7 +128,7 @@ def run_class(
             rows[each.student] = row or _pending(each)
         run = _Run(folder, rows, grader, time_limit_s, stop)
         with class_watcher(len(waiting), show=progress) as watcher:
-            run.perform(waiting, jobs or os.cpu_count() or 1, watcher)
+            run.perform(waiting, jobs or available_cores(), watcher)
         summary = summarise(list(rows.values()))
         text = json.dumps({**summary.as_dict(), "left_out": found.left_out}, indent=1) + "\n"
         write_atomically(folder / "summary.json", lambda file: file.write(text.encode()))
