@@ -31,12 +31,12 @@ import cv2
 import numpy as np
 
 from slamcmp.frontend.tracked_features import tracked_features
-from slamcmp.frontend.vision import fundamental
-from slamcmp.frontend.vision.harris import Corners, harris_corners
+from slamcmp.frontend.vision.features.harris import Corners, harris_corners
+from slamcmp.frontend.vision.features.orb import BORDER_PX, RADIUS_PX
+from slamcmp.frontend.vision.features.suppression import suppress_brown, suppress_cells
+from slamcmp.frontend.vision.geometry import fundamental
 from slamcmp.frontend.vision.image_pair import Features, extract_features, match_features
-from slamcmp.frontend.vision.orb import BORDER_PX, RADIUS_PX
-from slamcmp.frontend.vision.suppression import suppress_brown, suppress_cells
-from slamcmp.frontend.vision.tracker import FeatureTracker, TrackingSettings
+from slamcmp.frontend.vision.tracking.tracker import FeatureTracker, TrackingSettings
 from slamcmp.support.memory import keep_freed_memory
 from slamcmp.types import Log
 from slamcmp.worlds.rendered import rendered

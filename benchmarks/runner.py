@@ -31,7 +31,7 @@ from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.protocols import Diagnosed, JointEstimator, Mapper, Smoother
 from slamcmp.registry import back_ends
-from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.configuration.plugin_models import bind_parameters
 from slamcmp.types import MeasurementStream
 
 FRAMES = 1000

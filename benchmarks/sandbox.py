@@ -56,7 +56,7 @@ BARE = f"""
 import sys
 sys.path.insert(0, {ROOT!r})
 import numpy, slamcmp.types, slamcmp.models.sensors
-import slamcmp.grading.sandbox.protocol, slamcmp.grading.sandbox.student
+import slamcmp.grading.sandbox.pipes.protocol, slamcmp.grading.sandbox.inside.student
 print("ready", flush=True)
 sys.stdin.read()
 """

@@ -30,7 +30,7 @@ from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.experiment.planning.plan import plan_experiment
 from slamcmp.experiment.runner import run_experiment
-from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.configuration.plugin_models import bind_parameters
 from slamcmp.types import MeasurementStream
 
 P1 = Path(__file__).parents[1] / "experiments" / "anchors" / "p1.yaml"

@@ -18,7 +18,7 @@ import pytest
 import slamcmp
 from slamcmp.cli import doctor
 from slamcmp.grading.assignment.handout import FILES
-from slamcmp.support.code_version import REQUIRED
+from slamcmp.support.provenance.code_version import REQUIRED
 
 ROOT = Path(__file__).parents[1]
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

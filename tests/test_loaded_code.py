@@ -13,7 +13,7 @@ import pytest
 
 from slamcmp.loaded_code import is_library, load_user_file, loaded_digests
 from slamcmp.registry import back_ends, sources
-from slamcmp.support.code_version import PACKAGE
+from slamcmp.support.provenance.code_version import PACKAGE
 
 
 def digest(path: Path) -> str:

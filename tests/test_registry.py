@@ -50,7 +50,7 @@ def test_file_that_does_not_import_is_a_usage_error(tmp_path: Path, content: str
 
 
 def test_annotation_that_cannot_be_evaluated_is_a_usage_error(tmp_path: Path) -> None:
-    from slamcmp.support.plugin_models import parameter_model
+    from slamcmp.support.configuration.plugin_models import parameter_model
 
     path = tmp_path / "mine.py"
     path.write_text(

@@ -27,8 +27,8 @@ from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.answers.candidates import FEWEST_RUNS
 from slamcmp.results.answers.recommendation import Recommendation, recommend
 from slamcmp.results.store import Results, finite
-from slamcmp.support.atomic import write_atomically
 from slamcmp.support.cores import available_cores
+from slamcmp.support.files.atomic import write_atomically
 
 SEEDS = 20
 TIME_LIMIT_S = 300.0

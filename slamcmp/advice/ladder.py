@@ -12,7 +12,7 @@ from typing import Any
 
 from slamcmp.experiment.config.component import Component
 from slamcmp.experiment.config.experiment import Experiment, parse_experiment
-from slamcmp.support.code_source import CodeSource
+from slamcmp.support.configuration.code_source import CodeSource
 
 ODOMETRY = "dead reckoning"
 EKF = "EKF"

@@ -10,9 +10,9 @@ from typing import Any
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import Experiment, parse_experiment
 from slamcmp.experiment.config.shipped import find_experiment
-from slamcmp.support.code_source import CodeSource
-from slamcmp.support.paths import is_dir, is_file
-from slamcmp.support.yaml_source import load_yaml
+from slamcmp.support.configuration.code_source import CodeSource
+from slamcmp.support.configuration.yaml_source import load_yaml
+from slamcmp.support.files.paths import is_dir, is_file
 
 TABLES = (".csv", ".parquet")
 PARTS = ("detections", "truth", "landmarks")

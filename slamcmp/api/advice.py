@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from slamcmp.api.experiments import is_watched
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import Experiment, parse_experiment
-from slamcmp.support.code_source import CodeSource
+from slamcmp.support.configuration.code_source import CodeSource
 
 if TYPE_CHECKING:
     from slamcmp.advice.advice import Advice

@@ -11,8 +11,8 @@ from slamcmp.experiment.conformance.check import Finding, check_back_end
 from slamcmp.experiment.job import run_back_end as one_run
 from slamcmp.metrics import score_run
 from slamcmp.protocols import BackEnd
-from slamcmp.support.code_source import plain_data
-from slamcmp.support.plugin_models import check_parameters
+from slamcmp.support.configuration.code_source import plain_data
+from slamcmp.support.configuration.plugin_models import check_parameters
 from slamcmp.types import GroundTruth, MeasurementStream, Problem, Run
 from slamcmp.types.html import rows_html
 

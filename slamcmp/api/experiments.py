@@ -20,7 +20,7 @@ from slamcmp.experiment.runner import run_experiment
 from slamcmp.registry import SESSION, Plugin, back_ends, in_session
 from slamcmp.results.store import Results, find_results
 from slamcmp.results.store import load_results as read_results
-from slamcmp.support.code_source import CodeSource, plain_data
+from slamcmp.support.configuration.code_source import CodeSource, plain_data
 
 ExperimentLike = str | os.PathLike[str] | Mapping[str, Any] | Experiment
 

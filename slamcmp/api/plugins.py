@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from slamcmp.errors import UsageError
 from slamcmp.registry import Plugin, Registry, back_ends
-from slamcmp.support.code_source import CodeSource, plain_data
-from slamcmp.support.config_errors import ConfigErrors
-from slamcmp.support.plugin_models import bind_parameters, parameter_model
+from slamcmp.support.configuration.code_source import CodeSource, plain_data
+from slamcmp.support.configuration.config_errors import ConfigErrors
+from slamcmp.support.configuration.plugin_models import bind_parameters, parameter_model
 
 BackEndLike = str | Callable[..., Any]
 """A registered name, ``file.py:Class``, or a class (or a function that makes a back end from a problem)."""

@@ -87,7 +87,7 @@ def advise(
     )
     if html is not None:
         from slamcmp.advice.page import advice_html
-        from slamcmp.support.atomic import write_atomically
+        from slamcmp.support.files.atomic import write_atomically
 
         page = advice_html(found)
         write_atomically(html, lambda file: file.write(page.encode("utf-8", "replace")))

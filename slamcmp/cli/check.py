@@ -69,7 +69,7 @@ def _parameters(back_end: str, settings: list[str]) -> dict[str, Any]:
     from ruamel.yaml.error import YAMLError
 
     from slamcmp.registry import back_ends
-    from slamcmp.support.plugin_models import bind_parameters
+    from slamcmp.support.configuration.plugin_models import bind_parameters
 
     given = {}
     for setting in settings:

@@ -77,7 +77,7 @@ def _pilot(experiment: str) -> Path:
     from slamcmp.experiment.config.experiment import load_experiment
     from slamcmp.experiment.config.shipped import find_experiment
     from slamcmp.results.store import find_results
-    from slamcmp.support.paths import is_dir
+    from slamcmp.support.files.paths import is_dir
 
     folder = find_results(experiment)
     if not is_dir(folder):

@@ -84,7 +84,7 @@ def doctor() -> None:
 
 def parameter_schema(plugin: Plugin) -> dict[str, Any]:
     """JSON Schema of a plug-in's parameters."""
-    from slamcmp.support.plugin_models import parameter_model
+    from slamcmp.support.configuration.plugin_models import parameter_model
 
     return parameter_model(plugin).model_json_schema()
 
@@ -95,7 +95,7 @@ def _summaries(kind: str) -> list[tuple[str, str]]:
 
 def _experiments() -> list[tuple[str, str]]:
     from slamcmp.experiment.config.shipped import shipped_experiments
-    from slamcmp.support.yaml_source import load_yaml
+    from slamcmp.support.configuration.yaml_source import load_yaml
 
     return [
         (name, str(load_yaml(path).data.get("question", ""))) for name, path in shipped_experiments().items()

@@ -12,7 +12,7 @@ import numpy as np
 
 from slamcmp.datasets.text import fields_of, number, read_text, text_lines
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.support.paths import expanded, is_dir, is_file
+from slamcmp.support.files.paths import expanded, is_dir, is_file
 from slamcmp.types import FloatArray
 
 DATA_VARIABLE = "SLAMCMP_DATA"

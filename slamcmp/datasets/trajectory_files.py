@@ -22,7 +22,7 @@ from slamcmp.datasets.time_stamps import SECONDS, in_seconds
 from slamcmp.datasets.trajectories import ordered, poses_from, read_kitti_poses, read_tum_trajectory
 from slamcmp.errors import DataError
 from slamcmp.geometry import quaternion, rotation, se2, se2_coordinates, translation
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 from slamcmp.types import FloatArray, Trajectory
 
 if TYPE_CHECKING:

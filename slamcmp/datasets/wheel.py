@@ -7,7 +7,7 @@ import importlib.util
 from pathlib import Path
 
 from slamcmp.errors import MissingDataError
-from slamcmp.support.paths import expanded, is_dir, is_file
+from slamcmp.support.files.paths import expanded, is_dir, is_file
 
 
 def wheel_file(name: str) -> Path:

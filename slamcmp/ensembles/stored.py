@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import slamcmp
 from slamcmp.ensembles.outcome import Ensemble, FilterRuns
 from slamcmp.ensembles.problem import EnsembleProblem
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 RUNS, TABLE = "ensemble.npz", "ensemble.json"
 

@@ -20,7 +20,10 @@ from typing import Any
 from slamcmp.errors import MissingDataError, SlamcmpError, UsageError
 from slamcmp.experiment.config.component import Component
 from slamcmp.registry import SESSION, Plugin
-from slamcmp.support.code_version import (
+from slamcmp.support.configuration.plugin_models import bind_parameters
+from slamcmp.support.files.paths import is_file
+from slamcmp.support.messages import describe
+from slamcmp.support.provenance.code_version import (
     PACKAGE,
     code_digests,
     file_digest,
@@ -29,9 +32,6 @@ from slamcmp.support.code_version import (
     version_of,
     versions,
 )
-from slamcmp.support.messages import describe
-from slamcmp.support.paths import is_file
-from slamcmp.support.plugin_models import bind_parameters
 
 KEY_LENGTH = 24
 
@@ -223,7 +223,7 @@ def plugin_files(plugin: Plugin) -> set[Path]:
 
 def _package(name: str) -> set[Path]:
     """Every module of a package of ours: its registry loads them all, which no import statement tells."""
-    return set((PACKAGE / name).glob("*.py"))
+    return set((PACKAGE / name).rglob("*.py"))
 
 
 _OPEN = "open: 5c1f3ad0-1a4b-4f0e-9a53-6a0a4f2f7d1c"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slamcmp.experiment.job.task import Task
 from slamcmp.experiment.planning.trials import RunJob
-from slamcmp.support.packed_files import packed_files
+from slamcmp.support.files.packed_files import packed_files
 
 PACK_FILES = 2048
 """Files that lie about before they are put together."""

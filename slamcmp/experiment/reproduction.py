@@ -22,9 +22,9 @@ from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.gathering.manifest import code, cpu_name, platform_name, python_version
 from slamcmp.results.store import IMPORTED, Results
-from slamcmp.support.atomic import write_atomically
-from slamcmp.support.code_version import versions
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.paths import is_file
+from slamcmp.support.provenance.code_version import versions
 
 FILES = ("experiment.yaml", "requirements.txt", "reproduce.sh")
 NO_PACKAGE = ("python",)

@@ -27,11 +27,11 @@ from slamcmp.registry import executors
 from slamcmp.results.runs.gathered import AboutStream
 from slamcmp.results.runs.run_file import load_run
 from slamcmp.results.store import Results, save_results
-from slamcmp.support.atomic import remove_left_behind, write_atomically
 from slamcmp.support.cores import available_cores
+from slamcmp.support.files.atomic import remove_left_behind, write_atomically
+from slamcmp.support.files.lock import locked
+from slamcmp.support.files.packed_files import is_there
 from slamcmp.support.interruption import interruptions
-from slamcmp.support.lock import locked
-from slamcmp.support.packed_files import is_there
 from slamcmp.support.progress import unbreakable, watching
 
 PLANNED = ".progress.json"

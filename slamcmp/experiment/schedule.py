@@ -28,10 +28,10 @@ from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.registry import Plugin
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
-from slamcmp.support.atomic import storage_error
+from slamcmp.support.files.atomic import storage_error
+from slamcmp.support.files.packed_files import content, remove
 from slamcmp.support.memory import machine_memory_mb
 from slamcmp.support.messages import LIMIT, describe, told
-from slamcmp.support.packed_files import content, remove
 from slamcmp.support.progress import Watcher
 from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import Status

@@ -21,7 +21,7 @@ from slamcmp.experiment.job.task import posteriors_path, run_path, stream_path, 
 from slamcmp.experiment.planning.trials import Trial
 from slamcmp.registry import SESSION
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, truth_digest
-from slamcmp.support.packed_files import names_in
+from slamcmp.support.files.packed_files import names_in
 
 VARIABLE = "SLAMCMP_CACHE"
 OFF = ("off", "0", "no", "")

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.models.sensors import make_sensor
-from slamcmp.support.atomic import write_atomically
-from slamcmp.support.npz import read_arrays
-from slamcmp.support.packed_files import content, is_there
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.npz import read_arrays
+from slamcmp.support.files.packed_files import content, is_there
 from slamcmp.types import Detections, FrontEndReport, MeasurementStream, Problem, RelativePoses
 from slamcmp.types.columns import Columns, columns_of, parts
 from slamcmp.types.stream import frames_of

@@ -15,8 +15,8 @@ from slamcmp.support.memory import keep_freed_memory
 from slamcmp.types import Frame, FrontEndReport, Log, MeasurementStream, Problem
 
 if TYPE_CHECKING:
-    from slamcmp.frontend.vision.motion_check import MotionCheck
-    from slamcmp.frontend.vision.tracker import FeatureTracker, TrackingSettings
+    from slamcmp.frontend.vision.checks.motion_check import MotionCheck
+    from slamcmp.frontend.vision.tracking.tracker import FeatureTracker, TrackingSettings
     from slamcmp.frontend.vision.wrong_matches import MatchRecord
 
 Share = Annotated[float, Gt(0), Lt(1)]
@@ -80,7 +80,7 @@ def tracked_features(
     Raises:
         UsageError: the log has no images, or its sensor is not a camera.
     """
-    from slamcmp.frontend.vision.tracker import TrackingSettings
+    from slamcmp.frontend.vision.tracking.tracker import TrackingSettings
 
     settings = TrackingSettings(
         features=features,
@@ -103,9 +103,9 @@ def tracked_features(
 
 def follow(log: Log, seed: int, settings: TrackingSettings) -> tuple[MeasurementStream, list[MatchRecord]]:
     """The stream, and the matches of every image for setting them against the truth."""
-    from slamcmp.frontend.vision.motion_check import MotionCheck
+    from slamcmp.frontend.vision.checks.motion_check import MotionCheck
     from slamcmp.frontend.vision.one_thread import one_thread
-    from slamcmp.frontend.vision.tracker import STAGES, FeatureTracker
+    from slamcmp.frontend.vision.tracking.tracker import STAGES, FeatureTracker
     from slamcmp.frontend.vision.wrong_matches import TrueMatches, score_matches
 
     if log.images is None:

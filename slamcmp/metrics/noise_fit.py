@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slamcmp.backends.filters.covariances.error_covariance import Correction, Event
 from slamcmp.backends.filters.ekf_slam import EkfSlam
-from slamcmp.backends.filters.error_covariance import Correction, Event
 from slamcmp.errors import DataError, DivergedError
 from slamcmp.types import FloatArray, Frame, MeasurementStream
 

@@ -31,7 +31,7 @@ from slamcmp.results.judgements.verdict import judge
 from slamcmp.results.numbers import interval_text, number_text
 from slamcmp.results.store import Results
 from slamcmp.results.words import parameters_in_words
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 SVG_LIMIT = 300_000
 """Bytes above which a figure goes in as PNG: a long log's SVG makes the page slow."""

@@ -77,7 +77,7 @@ def write_replay(
     recording = rerun.RecordingStream(
         f"slamcmp {name}", recording_id=f"{name}-{trial}", send_properties=False
     )
-    from slamcmp.support.atomic import storage_error
+    from slamcmp.support.files.atomic import storage_error
 
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

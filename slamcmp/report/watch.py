@@ -23,7 +23,7 @@ from markupsafe import escape
 from slamcmp.report.live import LIGHT
 from slamcmp.results.numbers import number_text
 from slamcmp.results.runs.run_file import load_run
-from slamcmp.support.packed_files import names_in
+from slamcmp.support.files.packed_files import names_in
 
 PLANNED = ".progress.json"
 """In a results folder: what the run that writes there has planned (experiment/runner.py)."""

@@ -22,9 +22,9 @@ import pandas as pd
 import pyarrow
 
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.support.atomic import storage_error, write_atomically
+from slamcmp.support.files.atomic import storage_error, write_atomically
+from slamcmp.support.files.paths import is_dir, is_file
 from slamcmp.support.messages import told
-from slamcmp.support.paths import is_dir, is_file
 
 TABLES = ("trials", "frames", "landmarks")
 MANIFEST = "manifest.json"

@@ -9,7 +9,7 @@ import resource
 import sys
 from pathlib import Path
 
-from slamcmp.support.unseen_reads import paused
+from slamcmp.support.provenance.unseen_reads import paused
 
 MB = 1024 * 1024
 _C = ctypes.CDLL(None)

@@ -17,7 +17,7 @@ from slamcmp.errors import UsageError
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.support.shared_settings import SharedSettings
+from slamcmp.support.configuration.shared_settings import SharedSettings
 from slamcmp.types import BoolArray, FloatArray, Log
 from slamcmp.worlds import paths
 from slamcmp.worlds.in_view import landmarks_for

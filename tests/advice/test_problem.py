@@ -11,7 +11,7 @@ from slamcmp.advice.problem import load_problem
 from slamcmp.advice.variations import variations
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import parse_experiment
-from slamcmp.support.code_source import CodeSource
+from slamcmp.support.configuration.code_source import CodeSource
 
 WORLD = {"name": "circle", "steps": 20, "landmarks": 10}
 

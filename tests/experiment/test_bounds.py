@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment, parse_experiment
 from slamcmp.experiment.gathering.manifest import require_same_experiment
-from slamcmp.support.code_source import CodeSource
+from slamcmp.support.configuration.code_source import CodeSource
+from slamcmp.support.configuration.yaml_source import YamlSource
 from slamcmp.support.messages import LIMIT
-from slamcmp.support.yaml_source import YamlSource
 
 GOOD = "source: {name: circle, steps: 5}\nback_ends: [{name: ekf_slam}]\n"
 COUNTS = ("landmarks", "map_seed", "first_look", "process_substeps")

@@ -14,7 +14,7 @@ import pytest
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.results.store import Results
-from slamcmp.support.code_version import PACKAGE
+from slamcmp.support.provenance.code_version import PACKAGE
 from tests.conftest import PLUGINS
 
 HEADER = "from tests.user_plugins import DeadReckoning\nfrom pathlib import Path\nimport numpy as np\n"

@@ -11,7 +11,7 @@ from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.schema import experiment_schema
 from slamcmp.experiment.planning.trials import make_trials
-from slamcmp.support.config_errors import ConfigError
+from slamcmp.support.configuration.config_errors import ConfigError
 
 GOOD = """\
 question: does it work?

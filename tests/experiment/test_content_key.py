@@ -12,7 +12,7 @@ from slamcmp.experiment.content_key import data_files
 from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.registry import sources
-from slamcmp.support.code_version import PACKAGE, import_closure
+from slamcmp.support.provenance.code_version import PACKAGE, import_closure
 
 
 def test_closure_of_a_back_end_holds_its_models_and_no_other_back_end() -> None:

@@ -20,7 +20,7 @@ from slamcmp.experiment.executors.processes import _remove_left_behind
 from slamcmp.experiment.job import worker
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.results.store import load_results
-from slamcmp.support.log_file import KEPT_BYTES, LIMIT_BYTES, trim
+from slamcmp.support.files.log_file import KEPT_BYTES, LIMIT_BYTES, trim
 from slamcmp.support.process_tree import is_alive
 from slamcmp.support.shared_arrays import SharedArrays
 from tests.experiment.test_rows_never_vanish import edge, write_edges

@@ -191,7 +191,7 @@ def test_shipped_sources_read_only_what_they_declare(tmp_path: Path) -> None:
     from slamcmp.experiment.config.component import Component
     from slamcmp.experiment.content_key import data_files
     from slamcmp.experiment.job.make_stream import make_stream
-    from slamcmp.support.opened_files import OpenedFiles, watched
+    from slamcmp.support.provenance.opened_files import OpenedFiles, watched
 
     for name, parameters in (
         ("circle", {"steps": 5}),

@@ -18,8 +18,8 @@ from slamcmp.experiment.content_key import run_code, run_key, stream_code, strea
 from slamcmp.experiment.job.task import Task, stream_path, truth_path
 from slamcmp.experiment.job.worker import perform
 from slamcmp.results.runs.run_file import load_run, load_truth
-from slamcmp.support import code_version
-from slamcmp.support.code_version import LIBRARIES, PACKAGE, import_closure, versions
+from slamcmp.support.provenance import code_version
+from slamcmp.support.provenance.code_version import LIBRARIES, PACKAGE, import_closure, versions
 from tests.conftest import PLUGINS
 
 SOURCE = Component("source", "circle", "circle", {"steps": 20})

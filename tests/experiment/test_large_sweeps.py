@@ -24,7 +24,7 @@ from slamcmp.results.runs.gathered import GatheredParts
 from slamcmp.results.runs.stored_runs import stored_run
 from slamcmp.results.runs.streams import known_streams
 from slamcmp.results.store import Results, load_results
-from slamcmp.support.packed_files import packed_files
+from slamcmp.support.files.packed_files import packed_files
 
 TEXT = """\
 name: sweep

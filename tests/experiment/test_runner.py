@@ -18,7 +18,7 @@ from slamcmp.experiment.runner import run_experiment
 from slamcmp.experiment.schedule import Schedule
 from slamcmp.results.runs.run_file import load_truth, save_truth
 from slamcmp.results.store import TABLES, Results, load_results
-from slamcmp.support.lock import locked
+from slamcmp.support.files.lock import locked
 from slamcmp.types import GroundTruth
 from tests.conftest import PLUGINS
 

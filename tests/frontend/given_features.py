@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from slamcmp.frontend.tracked_features import tracked_features
-from slamcmp.frontend.vision import tracker as tracker_module
-from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.features.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features
-from slamcmp.frontend.vision.measuring import Measured, measuring
-from slamcmp.frontend.vision.tracker import STAGES, FeatureTracker, Sighting, TrackingSettings
+from slamcmp.frontend.vision.tracking import tracker as tracker_module
+from slamcmp.frontend.vision.tracking.measuring import Measured, measuring
+from slamcmp.frontend.vision.tracking.tracker import STAGES, FeatureTracker, Sighting, TrackingSettings
 from slamcmp.geometry import exp
 from slamcmp.models.camera import MonoCamera, StereoCamera
 from slamcmp.types import CameraFrame

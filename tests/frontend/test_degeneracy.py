@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.degeneracy import Geometry, rotation_between, transfer_distance, verify_matches
+from slamcmp.frontend.vision.geometry.degeneracy import (
+    Geometry,
+    rotation_between,
+    transfer_distance,
+    verify_matches,
+)
 from slamcmp.frontend.vision.image_pair import precision_recall
 from slamcmp.geometry import so3_exp
 from tests.frontend.two_views import TURN, K, two_views

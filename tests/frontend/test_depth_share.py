@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.depth_share import DepthShare
+from slamcmp.frontend.vision.checks.depth_share import DepthShare
 
 POINTS = 100
 

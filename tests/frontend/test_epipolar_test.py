@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from slamcmp.frontend.vision.epipolar_test import epipolar_test
-from slamcmp.frontend.vision.track_table import TrackTable
-from slamcmp.frontend.vision.triangulation import PoseHistory
+from slamcmp.frontend.vision.geometry.triangulation import PoseHistory
+from slamcmp.frontend.vision.tracking.epipolar_test import epipolar_test
+from slamcmp.frontend.vision.tracking.track_table import TrackTable
 from slamcmp.geometry import exp, inverse
 from tests.frontend.given_features import OFF_THE_LINE, SINGLE, Points
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.error_correlation import LAGS, ErrorCorrelation
+from slamcmp.frontend.vision.tracking.error_correlation import LAGS, ErrorCorrelation
 from tests.frontend.given_features import PAIR, R_PAIR, Following, Points
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.fundamental import (
+from slamcmp.frontend.vision.geometry.fundamental import (
     EpipolarFit,
     eight_point,
     least_squares,

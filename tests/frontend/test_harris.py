@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.harris import _quadric_peaks, harris_corners, harris_response
+from slamcmp.frontend.vision.features.harris import _quadric_peaks, harris_corners, harris_response
 from tests.frontend.photographs import photograph
 
 

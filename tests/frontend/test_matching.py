@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.degeneracy import Geometry
-from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.features.harris import Corners
+from slamcmp.frontend.vision.geometry.degeneracy import Geometry
 from slamcmp.frontend.vision.image_pair import Features, extract_features, match_features, precision_recall
 from slamcmp.frontend.vision.matching import hamming_distances, match_candidates, match_descriptors
 from tests.frontend.photographs import photograph

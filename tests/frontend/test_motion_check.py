@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.motion_check import MotionCheck
+from slamcmp.frontend.vision.checks.motion_check import MotionCheck
 from slamcmp.geometry import exp, inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.harris import harris_corners
+from slamcmp.frontend.vision.features.harris import harris_corners
+from slamcmp.frontend.vision.features.orb import BORDER_PX, describe, intensity_centroid_angles
 from slamcmp.frontend.vision.image_pair import extract_features
 from slamcmp.frontend.vision.matching import match_descriptors
-from slamcmp.frontend.vision.orb import BORDER_PX, describe, intensity_centroid_angles
 from tests.frontend.photographs import photograph
 
 

@@ -11,8 +11,8 @@ from slamcmp.datasets.images.seven_scenes import seven_scenes
 from slamcmp.errors import UsageError
 from slamcmp.experiment.job.run_back_end import run_back_end
 from slamcmp.frontend.tracked_features import tracked_features
-from slamcmp.frontend.vision import placing, tracker
-from slamcmp.frontend.vision.error_correlation import ErrorCorrelation
+from slamcmp.frontend.vision.tracking import placing, tracker
+from slamcmp.frontend.vision.tracking.error_correlation import ErrorCorrelation
 from slamcmp.geometry import local
 from slamcmp.registry import back_ends
 from slamcmp.types import FloatArray

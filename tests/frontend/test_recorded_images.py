@@ -7,8 +7,8 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.degeneracy import Geometry
-from slamcmp.frontend.vision.fundamental import sampson_distance
+from slamcmp.frontend.vision.geometry.degeneracy import Geometry
+from slamcmp.frontend.vision.geometry.fundamental import sampson_distance
 from slamcmp.frontend.vision.image_pair import Features, extract_features, match_features
 from slamcmp.geometry import hat, inverse
 from slamcmp.image_files import read_image

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from slamcmp.datasets.images.seven_scenes import seven_scenes
-from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.checks.seen_motion import SeenMotion, delay
+from slamcmp.frontend.vision.features.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features, extract_features
-from slamcmp.frontend.vision.measuring import Noise, measuring
-from slamcmp.frontend.vision.seen_motion import SeenMotion, delay
+from slamcmp.frontend.vision.tracking.measuring import Noise, measuring
 from slamcmp.geometry import exp
 from slamcmp.models.camera import FORWARD_CAMERA, Camera, MonoCamera, StereoCamera
 from tests.recorded_data import recorded

@@ -8,10 +8,15 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.degeneracy import Geometry, verify_matches
-from slamcmp.frontend.vision.fundamental import sampson_distance
+from slamcmp.frontend.vision.geometry.degeneracy import Geometry, verify_matches
+from slamcmp.frontend.vision.geometry.fundamental import sampson_distance
+from slamcmp.frontend.vision.geometry.significance import (
+    chance_at_point,
+    chance_on_line,
+    distinct,
+    log10_false_alarms,
+)
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
-from slamcmp.frontend.vision.significance import chance_at_point, chance_on_line, distinct, log10_false_alarms
 from tests.frontend.photographs import photograph
 from tests.frontend.two_views import K, two_views
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.features.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features
-from slamcmp.frontend.vision.stereo_matching import align_rows, match_rows
+from slamcmp.frontend.vision.tracking.stereo_matching import align_rows, match_rows
 
 TRUE_PX = 20.3
 

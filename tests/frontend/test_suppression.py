@@ -8,8 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from slamcmp.frontend.vision.harris import harris_corners
-from slamcmp.frontend.vision.suppression import _cell_winners, brown_radii, suppress_brown, suppress_cells
+from slamcmp.frontend.vision.features.harris import harris_corners
+from slamcmp.frontend.vision.features.suppression import (
+    _cell_winners,
+    brown_radii,
+    suppress_brown,
+    suppress_cells,
+)
 from tests.frontend.photographs import photograph
 
 

@@ -15,7 +15,7 @@ from slamcmp.errors import UsageError
 from slamcmp.experiment.job.make_stream import make_stream
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.frontend.tracked_features import follow, tracked_features
-from slamcmp.frontend.vision.tracker import STAGES, TrackingSettings
+from slamcmp.frontend.vision.tracking.tracker import STAGES, TrackingSettings
 from slamcmp.frontend.vision.wrong_matches import score_matches
 from slamcmp.models.camera import MonoCamera, StereoCamera
 from slamcmp.types import CameraFrame, Log

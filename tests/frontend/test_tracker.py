@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision import tracker as tracker_module
-from slamcmp.frontend.vision.placing import Placed
+from slamcmp.frontend.vision.tracking import tracker as tracker_module
+from slamcmp.frontend.vision.tracking.placing import Placed
 from slamcmp.geometry import exp
 from tests.frontend.given_features import (
     ALONG_THE_LINE,

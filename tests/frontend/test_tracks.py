@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.common_motion import common_motion
-from slamcmp.frontend.vision.measuring import Noise, measuring, patch_depths
-from slamcmp.frontend.vision.search_windows import search_windows
-from slamcmp.frontend.vision.stereo_matching import align_rows
-from slamcmp.frontend.vision.track_table import TrackTable
-from slamcmp.frontend.vision.triangulation import PoseHistory
+from slamcmp.frontend.vision.geometry.triangulation import PoseHistory
+from slamcmp.frontend.vision.tracking.common_motion import common_motion
+from slamcmp.frontend.vision.tracking.measuring import Noise, measuring, patch_depths
+from slamcmp.frontend.vision.tracking.search_windows import search_windows
+from slamcmp.frontend.vision.tracking.stereo_matching import align_rows
+from slamcmp.frontend.vision.tracking.track_table import TrackTable
 from slamcmp.frontend.vision.wrong_matches import MatchRecord, score_matches, spoil_matches
 from slamcmp.geometry import exp
 from slamcmp.models.camera import MonoCamera, RgbdCamera, StereoCamera

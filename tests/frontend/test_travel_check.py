@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slamcmp.datasets.images.kitti_odometry import kitti_odometry
-from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.checks.travel_check import TravelCheck
+from slamcmp.frontend.vision.features.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features, extract_features
-from slamcmp.frontend.vision.travel_check import TravelCheck
 from slamcmp.geometry import exp, inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera
 from tests.recorded_data import recorded

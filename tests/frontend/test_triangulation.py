@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.frontend.vision.placing import place_rays
-from slamcmp.frontend.vision.track_table import VIEWS, TrackTable
-from slamcmp.frontend.vision.triangulation import PoseHistory, parallax_deg, triangulate
+from slamcmp.frontend.vision.geometry.triangulation import PoseHistory, parallax_deg, triangulate
+from slamcmp.frontend.vision.tracking.placing import place_rays
+from slamcmp.frontend.vision.tracking.track_table import VIEWS, TrackTable
 from slamcmp.geometry import exp, inverse, local
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from slamcmp.grading.hand_in.submission import Submission
 from slamcmp.grading.sandbox.errors import SandboxError, StudentError
-from slamcmp.grading.sandbox.kernel import machine
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.grading.sandbox.session import SandboxSession
-from slamcmp.grading.sandbox.syscalls import DENIED, FILTERED, number
+from slamcmp.grading.sandbox.walls.kernel import machine
+from slamcmp.grading.sandbox.walls.syscalls import DENIED, FILTERED, number
 from tests.grading.catalogue import FOLDER
 
 EVERY_LAYER = ("private root", "own uid", "limits", "Landlock", "seccomp", "bubblewrap")

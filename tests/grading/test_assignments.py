@@ -18,7 +18,7 @@ from slamcmp.grading.assignment.description import find_assignment, load_assignm
 from slamcmp.grading.assignment.handout import SHIPPED
 from slamcmp.grading.run.grader import Grading
 from slamcmp.grading.run.publish import InProcess, check_publishable
-from slamcmp.support.config_errors import ConfigError
+from slamcmp.support.configuration.config_errors import ConfigError
 
 SECRET = b"a secret of the tests"
 NAMES = sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml"))

@@ -31,7 +31,7 @@ from slamcmp.grading.run.autograder import (
     student_of,
 )
 from slamcmp.grading.run.bundle import constraints, requirements, write_bundle
-from slamcmp.grading.sandbox.readable import world_reachable
+from slamcmp.grading.sandbox.walls.readable import world_reachable
 from tests.grading import toy_assignment
 from tests.grading.toy_assignment import SOLUTION
 

@@ -14,7 +14,7 @@ from slamcmp.grading.assignment.description import find_assignment, load_assignm
 from slamcmp.grading.results.outcome import GradeOutcome
 from slamcmp.grading.run.grader import Grading
 from slamcmp.grading.run.publish import InProcess
-from slamcmp.support.yaml_source import load_yaml
+from slamcmp.support.configuration.yaml_source import load_yaml
 
 
 def mistakes_in(file: str) -> list[dict[str, Any]]:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.grading.sandbox import identity, layers, readable
-from slamcmp.grading.sandbox.landlock import landlock_abi
-from slamcmp.grading.sandbox.proofs import MEANING, judge, level_of
-from slamcmp.grading.sandbox.seccomp import AUDIT_ARCH, Instruction, program
-from slamcmp.grading.sandbox.syscalls import DENIED, FILTERED, NEWEST_KNOWN, number
+from slamcmp.grading.sandbox.walls import identity, layers, readable
+from slamcmp.grading.sandbox.walls.landlock import landlock_abi
+from slamcmp.grading.sandbox.walls.proofs import MEANING, judge, level_of
+from slamcmp.grading.sandbox.walls.seccomp import AUDIT_ARCH, Instruction, program
+from slamcmp.grading.sandbox.walls.syscalls import DENIED, FILTERED, NEWEST_KNOWN, number
 
 MACHINES = ("x86_64", "aarch64")
 PID = 4242
@@ -179,7 +179,7 @@ def test_unused_uids_are_nobody_s_and_differ() -> None:
 
 
 def test_the_grader_is_undumpable_until_the_last_release() -> None:
-    from slamcmp.grading.sandbox import kernel
+    from slamcmp.grading.sandbox.walls import kernel
 
     identity.hold_undumpable()
     identity.hold_undumpable()

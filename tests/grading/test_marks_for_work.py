@@ -16,8 +16,8 @@ from slamcmp.grading.run.grader import Grading
 from slamcmp.grading.run.publish import InProcess
 from slamcmp.grading.run.source_reader import read_source
 from slamcmp.grading.run.watched import Watched
-from slamcmp.grading.sandbox.definitions import definitions
 from slamcmp.grading.sandbox.errors import StudentError
+from slamcmp.grading.sandbox.inside.definitions import definitions
 
 
 def graded(assignment: Assignment, source: str, *tests: str) -> GradeOutcome:

@@ -14,7 +14,7 @@ import pytest
 from slamcmp.grading.hand_in.notebook import read_notebook
 from slamcmp.grading.hand_in.submission import Submission, SubmissionError, load_submission
 from slamcmp.grading.run.source_reader import read_source, told
-from slamcmp.grading.sandbox.definitions import definitions
+from slamcmp.grading.sandbox.inside.definitions import definitions
 
 
 def notebook(*cells: str, markdown: str = "# Title") -> bytes:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slamcmp.grading.sandbox.protocol import (
+from slamcmp.grading.sandbox.pipes.protocol import (
     HEADER_MAX,
     MAGIC,
     PREFIX,

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slamcmp.grading.sandbox import kernel
 from slamcmp.grading.sandbox.errors import (
     SandboxError,
     SandboxUnavailable,
 )
-from slamcmp.grading.sandbox.proofs import MEANING
-from slamcmp.grading.sandbox.readable import world_reachable
 from slamcmp.grading.sandbox.session import SandboxSession
+from slamcmp.grading.sandbox.walls import kernel
+from slamcmp.grading.sandbox.walls.proofs import MEANING
+from slamcmp.grading.sandbox.walls.readable import world_reachable
 from tests.grading.sandboxed import FUNCTIONS, submission
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the sandbox needs Linux")

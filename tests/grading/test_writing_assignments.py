@@ -14,7 +14,7 @@ from slamcmp.grading.assignment.description import load_assignment
 from slamcmp.grading.assignment.reference import reference
 from slamcmp.grading.assignment.skeleton import write_skeleton
 from slamcmp.grading.run.publish import check_publishable, gate
-from slamcmp.support.config_errors import ConfigError
+from slamcmp.support.configuration.config_errors import ConfigError
 
 GUIDE = (Path(__file__).parents[2] / "docs" / "writing-assignments.md").read_text(encoding="utf-8")
 FILE = re.compile(r"^`([\w/.]+)`\n\n````\w+\n(.*?)^````$", re.MULTILINE | re.DOTALL)

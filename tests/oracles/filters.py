@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from slamcmp import geometry
-from slamcmp.backends.filters.charts import Chart
+from slamcmp.backends.filters.error_state.charts import Chart
+from slamcmp.backends.filters.error_state.linearisation import LatestEstimate
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
-from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.variants import (
     FirstEstimatesEkf,
     IdealEkf,

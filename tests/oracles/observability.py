@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slamcmp.backends.filters.error_covariance import Correction, Growth, Joining, Leaving, Step
+from slamcmp.backends.filters.covariances.error_covariance import Correction, Growth, Joining, Leaving, Step
 from slamcmp.backends.filters.rts_smoother import History
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
-from slamcmp.backends.filters.charts import RightInvariantChart
 from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.error_state.charts import RightInvariantChart
 from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.kalman import KnownHeadingKalmanFilter
 from slamcmp.backends.filters.msckf import Msckf

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from slamcmp.backends.filters.covariances.error_covariance import Correction, Growth, Step
 from slamcmp.backends.filters.ekf_slam import EkfSlam
-from slamcmp.backends.filters.error_covariance import Correction, Growth, Step
+from slamcmp.backends.filters.error_state.unanchored import UnanchoredFilter
 from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.robocentric import RobocentricEkf
 from slamcmp.backends.filters.ukf import UkfSlam
-from slamcmp.backends.filters.unanchored import UnanchoredFilter
 from slamcmp.backends.window.sliding_window import SlidingWindow
 from slamcmp.metrics.observability import nullity, unanchored_information
 from tests.oracles.filters import CONSISTENT, BodyEkf, maker, run, world_of

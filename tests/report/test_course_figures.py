@@ -9,7 +9,7 @@ import slamcmp
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.config.shipped import shipped_experiments
-from slamcmp.frontend.vision.fundamental import SAMPLE
+from slamcmp.frontend.vision.geometry.fundamental import SAMPLE
 from slamcmp.report.figures.draw import each_figure
 from slamcmp.report.figures.frontend import course
 from slamcmp.report.figures.frontend.course import contaminated, exchanged

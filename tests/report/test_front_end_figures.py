@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from slamcmp.cli import app
 from slamcmp.errors import DataError, MissingDataError, UsageError
-from slamcmp.frontend.vision.degeneracy import Geometry
+from slamcmp.frontend.vision.geometry.degeneracy import Geometry
 from slamcmp.frontend.vision.image_pair import extract_features, match_features
 from slamcmp.frontend.vision.pyramid import extract_pyramid
 from slamcmp.report.figures.frontend.front_end import SAYING, draw_front_end, front_end_tables

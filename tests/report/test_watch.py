@@ -15,7 +15,7 @@ import slamcmp
 from slamcmp.experiment.runner import PLANNED as WRITTEN
 from slamcmp.report import write_report
 from slamcmp.report.watch import PLANNED, Watched, progress_page, watch_server
-from slamcmp.support.lock import locked
+from slamcmp.support.files.lock import locked
 from tests.command import Command
 
 

@@ -20,7 +20,7 @@ from slamcmp.results.judgements.ensemble import ENSEMBLE_METRICS, ensemble_value
 from slamcmp.results.judgements.published import Published
 from slamcmp.results.judgements.verdict import judge_published
 from slamcmp.results.store import load_results
-from slamcmp.support.config_errors import ConfigError
+from slamcmp.support.configuration.config_errors import ConfigError
 
 
 def frames_of(position: list[list[float]], label: str = "A", first: int = 10, **more: Any) -> pd.DataFrame:

@@ -10,7 +10,7 @@ from slamcmp.errors import StorageError
 from slamcmp.experiment.runner import run_experiment
 from slamcmp.frontend.stream_file import load_stream, save_stream
 from slamcmp.report import draw_figures, write_report
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 from tests.conftest import PLUGINS
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slamcmp.support.code_version import PACKAGE, code_version, import_closure, other_libraries
+from slamcmp.support.provenance.code_version import PACKAGE, code_version, import_closure, other_libraries
 
 
 def test_version_follows_the_neighbours_that_are_imported(tmp_path: Path) -> None:

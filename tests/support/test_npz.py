@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamcmp.support.npz import read_arrays
+from slamcmp.support.files.npz import read_arrays
 
 ARRAYS: dict[str, Any] = {
     "floats": np.arange(12.0).reshape(3, 4),

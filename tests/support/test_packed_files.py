@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from slamcmp.errors import StorageError
-from slamcmp.support import packed_files
-from slamcmp.support.packed_files import (
+from slamcmp.support.files import packed_files
+from slamcmp.support.files.packed_files import (
     FOLDER,
     MARK,
     PackedFiles,
@@ -19,7 +19,7 @@ from slamcmp.support.packed_files import (
     names_in,
     remove,
 )
-from slamcmp.support.packed_files import (
+from slamcmp.support.files.packed_files import (
     packed_files as packs_of,
 )
 

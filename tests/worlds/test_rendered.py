@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.degeneracy import Geometry, verify_matches
+from slamcmp.frontend.vision.geometry.degeneracy import Geometry, verify_matches
 from slamcmp.frontend.vision.image_pair import extract_features, match_features, precision_recall
 from slamcmp.geometry import dead_reckoning, inverse, local
 from slamcmp.registry import sources

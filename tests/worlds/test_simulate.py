@@ -12,7 +12,7 @@ from slamcmp.geometry import wrap
 from slamcmp.models.sensors import make_sensor
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.configuration.plugin_models import bind_parameters
 from slamcmp.types import Log
 from slamcmp.worlds.outliers import OutlierDraws
 from slamcmp.worlds.settings import Settings

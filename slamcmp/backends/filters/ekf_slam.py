@@ -34,12 +34,12 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from slamcmp.backends.entries import Entries, placed
-from slamcmp.backends.filters.charts import Chart
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
-from slamcmp.backends.filters.error_covariance import ErrorCovariance, StackedJacobian
+from slamcmp.backends.filters.covariances.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance, StackedJacobian
+from slamcmp.backends.filters.covariances.postponed import PostponedCovariance
+from slamcmp.backends.filters.error_state.charts import Chart
 from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.filters.map_filter import LinearisingFilter, Observed
-from slamcmp.backends.filters.postponed import PostponedCovariance
 from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.errors import UsageError
 from slamcmp.geometry import adjoint_of_inverse, exp, retract_in_world_axes

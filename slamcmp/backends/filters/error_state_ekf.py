@@ -28,13 +28,13 @@ from typing import Literal
 import numpy as np
 
 from slamcmp.backends.entries import Entries, placed
-from slamcmp.backends.filters.charts import Chart
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal, stacked
-from slamcmp.backends.filters.error_covariance import ErrorCovariance
-from slamcmp.backends.filters.linearisation import LatestEstimate
+from slamcmp.backends.filters.covariances.covariance import JointCovariance, block_diagonal, stacked
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.error_state.charts import Chart
+from slamcmp.backends.filters.error_state.linearisation import LatestEstimate
+from slamcmp.backends.filters.error_state.unanchored import square_root
 from slamcmp.backends.filters.map_filter import LinearisingFilter, Observed, sandwich
 from slamcmp.backends.filters.rts_smoother import History
-from slamcmp.backends.filters.unanchored import square_root
 from slamcmp.backends.robust import Kernel
 from slamcmp.types import BoolArray, FloatArray, Frame, IntArray, Problem, SensorModel, Trajectory
 

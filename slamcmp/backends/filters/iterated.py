@@ -22,10 +22,10 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt
 
-from slamcmp.backends.filters.charts import WorldChart
-from slamcmp.backends.filters.covariance import block_diagonal, stacked
+from slamcmp.backends.filters.covariances.covariance import block_diagonal, stacked
+from slamcmp.backends.filters.error_state.charts import WorldChart
+from slamcmp.backends.filters.error_state.linearisation import LatestEstimate
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
-from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.relaxation import relaxed_share

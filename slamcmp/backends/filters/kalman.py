@@ -24,9 +24,9 @@ import numpy as np
 from annotated_types import Ge
 
 from slamcmp.backends.entries import Entries
-from slamcmp.backends.filters.charts import Chart
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
-from slamcmp.backends.filters.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.covariances.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.error_state.charts import Chart
 from slamcmp.backends.filters.map_filter import MapFilter, Observed
 from slamcmp.backends.filters.rts_smoother import History
 from slamcmp.errors import UsageError

@@ -24,8 +24,8 @@ import numpy as np
 
 from slamcmp.backends.entries import Entries, placed
 from slamcmp.backends.far_points import FARTHEST, far_off
-from slamcmp.backends.filters.covariance import JointCovariance
-from slamcmp.backends.filters.error_covariance import ErrorCovariance, lost_covariance
+from slamcmp.backends.filters.covariances.covariance import JointCovariance
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance, lost_covariance
 from slamcmp.models.sensors import RangeBearing, RelativePosition
 from slamcmp.types import FloatArray, Frame, IntArray, SensorModel, Trajectory
 

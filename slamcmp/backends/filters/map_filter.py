@@ -9,11 +9,11 @@ import numpy as np
 
 from slamcmp.backends.doubtful import DoubtfulLandmarks
 from slamcmp.backends.entries import Entries, entering, has_blind_side, with_image
-from slamcmp.backends.filters.charts import Chart
-from slamcmp.backends.filters.covariance import block_diagonal
-from slamcmp.backends.filters.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.covariances.covariance import block_diagonal
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.error_state.charts import Chart
+from slamcmp.backends.filters.error_state.unanchored import UnanchoredFilter
 from slamcmp.backends.filters.loops import Loops
-from slamcmp.backends.filters.unanchored import UnanchoredFilter
 from slamcmp.backends.robust import DOUBTED, Kernel
 from slamcmp.backends.unanchored import Linearisation
 from slamcmp.models.sensors import entry_sensor

@@ -33,9 +33,9 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from slamcmp.backends.entries import places_by_itself
-from slamcmp.backends.filters.charts import WorldChart
-from slamcmp.backends.filters.covariance import JointCovariance
-from slamcmp.backends.filters.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.covariances.covariance import JointCovariance
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance
+from slamcmp.backends.filters.error_state.charts import WorldChart
 from slamcmp.backends.filters.map_filter import sandwich
 from slamcmp.backends.filters.triangulation import (
     best_supported,

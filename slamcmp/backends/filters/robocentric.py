@@ -27,11 +27,11 @@ from annotated_types import Gt
 from scipy.linalg import block_diag
 
 from slamcmp.backends.entries import Entries, placed
-from slamcmp.backends.filters.charts import RobocentricChart
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal, stacked
-from slamcmp.backends.filters.error_covariance import ErrorCovariance, Growth, Joining, Leaving
+from slamcmp.backends.filters.covariances.covariance import JointCovariance, block_diagonal, stacked
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance, Growth, Joining, Leaving
+from slamcmp.backends.filters.error_state.charts import RobocentricChart
+from slamcmp.backends.filters.error_state.linearisation import LatestEstimate
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
-from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.geometry import exp, inverse, right_jacobian, transform

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slamcmp.backends.filters.error_covariance import (
+from slamcmp.backends.filters.covariances.error_covariance import (
     Correction,
     Event,
     FrameEnd,

@@ -27,10 +27,15 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from slamcmp.backends.entries import Entries, placed
-from slamcmp.backends.filters.charts import Chart, LeftInvariantChart, RightInvariantChart, WorldChart
-from slamcmp.backends.filters.covariance import block_diagonal
+from slamcmp.backends.filters.covariances.covariance import block_diagonal
+from slamcmp.backends.filters.error_state.charts import (
+    Chart,
+    LeftInvariantChart,
+    RightInvariantChart,
+    WorldChart,
+)
+from slamcmp.backends.filters.error_state.linearisation import LatestEstimate
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
-from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.filters.map_filter import Observed
 from slamcmp.backends.robust import RobustKernel, robust_kernel

@@ -22,14 +22,14 @@ from typing import Annotated, Literal
 from annotated_types import Gt
 
 from slamcmp.backends.entries import places_by_itself
-from slamcmp.backends.filters.charts import RightInvariantChart, WorldChart
-from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
-from slamcmp.backends.filters.linearisation import (
+from slamcmp.backends.filters.error_state.charts import RightInvariantChart, WorldChart
+from slamcmp.backends.filters.error_state.linearisation import (
     FirstEstimates,
     LatestEstimate,
     ObservabilityConstrained,
     Truth,
 )
+from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf, NewLandmarks
 from slamcmp.backends.filters.loops import Loops, Recipe
 from slamcmp.backends.robust import RobustKernel, robust_kernel
 from slamcmp.registry import back_ends

@@ -45,7 +45,7 @@ def check(
     """Say what is wrong with a log before a filter runs on it; exit code 1 where something is."""
     from slamcmp.datasets.plain.log_checks import check_files
     from slamcmp.errors import MissingDataError, UsageError
-    from slamcmp.support.paths import is_file
+    from slamcmp.support.files.paths import is_file
 
     for path in files:
         if not is_file(path):

@@ -78,7 +78,7 @@ def _log(given: list[str], settings: list[str], trial: int) -> Log:
         UsageError: files that do not belong together, or a parameter that the source does not have.
     """
     from slamcmp.datasets.plain.plain_roles import files_by_role
-    from slamcmp.support.paths import is_file
+    from slamcmp.support.files.paths import is_file
 
     suffixes = {Path(name).suffix for name in given}
     if suffixes <= set(TABLES):
@@ -118,7 +118,7 @@ def checked_parameters(name: str, parameters: dict[str, Any], settings: list[str
     from ruamel.yaml.error import YAMLError
 
     from slamcmp.registry import did_you_mean, sources
-    from slamcmp.support.plugin_models import bind_parameters
+    from slamcmp.support.configuration.plugin_models import bind_parameters
 
     plugin = sources.get(name)
     for text in settings:

@@ -34,7 +34,7 @@ def regrade(
     from slamcmp.grading.results.class_summary import summarise
     from slamcmp.grading.results.gradebook import write_gradebook
     from slamcmp.grading.results.rules import RulesFields, load_rules, load_submitted, regraded
-    from slamcmp.support.atomic import write_atomically
+    from slamcmp.support.files.atomic import write_atomically
 
     if rules is None and submitted is None:
         raise UsageError("give --rules, --submitted, or both: without them the grades are what they are")

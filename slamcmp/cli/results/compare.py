@@ -99,7 +99,7 @@ def compare(
     from slamcmp.results.compare.comparison import DEFAULT_METRICS, compare_results, judge_condition
     from slamcmp.results.compare.conditions import parse_condition
     from slamcmp.results.store import find_results, load_results
-    from slamcmp.support.atomic import write_atomically
+    from slamcmp.support.files.atomic import write_atomically
 
     conditions = [parse_condition(text, metric_columns()) for text in fail_if or ()]
     names = _pairs(pair or ())

@@ -63,7 +63,7 @@ def table(
     """
     from slamcmp.report.paper_table import paper_table
     from slamcmp.results.store import find_results, load_results
-    from slamcmp.support.atomic import write_atomically
+    from slamcmp.support.files.atomic import write_atomically
 
     found = load_results(find_results(results))
     names = None if columns is None else [part.strip() for part in columns.split(",") if part.strip()]

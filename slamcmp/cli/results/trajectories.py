@@ -270,7 +270,7 @@ def _write(path: Path, run: Run, poses: Any, file_format: ExportFormat, root: Pa
     from slamcmp.datasets.trajectory_files import write_trajectory
     from slamcmp.errors import MissingDataError, StorageError
     from slamcmp.frontend.stream_file import load_stream
-    from slamcmp.support.packed_files import is_there
+    from slamcmp.support.files.packed_files import is_there
 
     if file_format is not ExportFormat.g2o:
         write_trajectory(path, poses, file_format.value)  # type: ignore[arg-type]

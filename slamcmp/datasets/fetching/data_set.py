@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from slamcmp.datasets.folders import DATA_VARIABLE
 from slamcmp.datasets.wheel import wheel_folder
-from slamcmp.support.paths import is_dir
+from slamcmp.support.files.paths import is_dir
 
 NOT_KNOWN = "not known to slamcmp"
 """Said of a size or a checksum instead of a guess."""

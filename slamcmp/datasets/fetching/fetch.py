@@ -17,7 +17,7 @@ from slamcmp.datasets.fetching.download import SCHEMES, Limits, Progress, Unreac
 from slamcmp.datasets.fetching.unpack import unpack
 from slamcmp.datasets.fetching.verify import sha256_of, write_receipt
 from slamcmp.errors import DataError, MissingDataError, StorageError, UsageError
-from slamcmp.support.paths import is_dir, is_file
+from slamcmp.support.files.paths import is_dir, is_file
 
 DOWNLOADS = ".downloads"
 """Below the root: archives on their way."""

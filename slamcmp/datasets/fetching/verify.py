@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slamcmp.datasets.fetching.data_set import DataSet
 from slamcmp.errors import MissingDataError
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 RECEIPTS = ".receipts"
 """Below the root: of each set fetched, the sha256 of its files."""

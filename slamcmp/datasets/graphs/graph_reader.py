@@ -31,7 +31,7 @@ from slamcmp.datasets.graphs.information import inverse_of_definite
 from slamcmp.datasets.text import ends_in_a_line, fields_of, number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import pose, rotation_from_quaternion, se2, wrap
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray
 
 Noise = Literal["auto", "information", "square_root_information", "covariance"]

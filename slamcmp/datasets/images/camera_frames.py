@@ -22,7 +22,7 @@ from slamcmp.image_files import (
     usable_image,
 )
 from slamcmp.models.camera import Camera
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
 from slamcmp.types import CameraFrame
 
 _PROBES = 3

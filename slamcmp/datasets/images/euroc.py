@@ -26,7 +26,7 @@ from slamcmp.datasets.trajectories import MAX_GAP_S, ordered, poses_at, poses_fr
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import MonoCamera, StereoCamera
-from slamcmp.support.paths import is_dir, is_file
+from slamcmp.support.files.paths import is_dir, is_file
 from slamcmp.types import FloatArray
 
 ORIGIN = "http://robotics.ethz.ch/~asl-datasets/ijrr_euroc_mav_dataset/ (the ASL format)"

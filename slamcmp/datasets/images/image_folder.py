@@ -19,7 +19,7 @@ from slamcmp.datasets.time_stamps import TimeUnit
 from slamcmp.datasets.trajectories import MAX_GAP_S, read_poses_at
 from slamcmp.errors import DataError, MissingDataError, UsageError
 from slamcmp.models.camera import RgbdCamera, StereoCamera
-from slamcmp.support.paths import is_dir, is_file
+from slamcmp.support.files.paths import is_dir, is_file
 from slamcmp.types import FloatArray
 
 Positive = Annotated[float, Gt(0)]

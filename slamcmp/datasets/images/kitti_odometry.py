@@ -29,7 +29,7 @@ from slamcmp.datasets.trajectories import read_kitti_poses
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, StereoCamera
-from slamcmp.support.paths import is_dir, is_file
+from slamcmp.support.files.paths import is_dir, is_file
 from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.cvlibs.net/datasets/kitti/eval_odometry.php (grey images, calibration, poses)"

@@ -21,7 +21,7 @@ from slamcmp.errors import DataError
 from slamcmp.models.camera import MonoCamera, RgbdCamera, StereoCamera
 from slamcmp.randomness import random_streams
 from slamcmp.registry import sources
-from slamcmp.support.shared_settings import SharedSettings
+from slamcmp.support.configuration.shared_settings import SharedSettings
 from slamcmp.types import Detections, FloatArray, GroundTruth, Log, Problem
 
 NotNegative = Annotated[float, Ge(0)]

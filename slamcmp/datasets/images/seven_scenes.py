@@ -28,7 +28,7 @@ from slamcmp.datasets.trajectories import nearest_rotations
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.geometry import inverse, pose
 from slamcmp.models.camera import FORWARD_CAMERA, RgbdCamera
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray
 
 ORIGIN = "https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/"

@@ -25,7 +25,7 @@ from slamcmp.datasets.trajectories import MAX_GAP_S, poses_at, read_tum_trajecto
 from slamcmp.errors import DataError
 from slamcmp.geometry import inverse
 from slamcmp.models.camera import FORWARD_CAMERA, MonoCamera, RgbdCamera
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray
 
 Calibration = Literal["auto", "freiburg1", "freiburg2", "freiburg3", "ros_default"]

@@ -17,7 +17,7 @@ import numpy as np
 from slamcmp.datasets.text import number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.registry import did_you_mean
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray
 
 UNITS: dict[str, dict[str, float]] = {

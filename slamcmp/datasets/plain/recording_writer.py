@@ -16,7 +16,7 @@ from slamcmp.datasets.plain.plain_motion import COVARIANCE
 from slamcmp.datasets.plain.plain_recording import MEASURED, TOLD_BY_COLUMNS
 from slamcmp.errors import DataError, UsageError
 from slamcmp.geometry import se2_coordinates
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 from slamcmp.types import GroundTruth, Log
 
 _UNITS = {"range": "m", "bearing": "rad", "x": "m", "y": "m", "theta": "rad"}

@@ -18,9 +18,9 @@ from slamcmp.experiment.config.component import OWN_GATE, REGISTRIES, Component,
 from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import StopRule
 from slamcmp.registry import Plugin, back_ends, did_you_mean, figures
-from slamcmp.support.config_errors import ConfigErrors
-from slamcmp.support.plugin_models import check_parameters, parameter_model
-from slamcmp.support.yaml_source import KeyPath
+from slamcmp.support.configuration.config_errors import ConfigErrors
+from slamcmp.support.configuration.plugin_models import check_parameters, parameter_model
+from slamcmp.support.configuration.yaml_source import KeyPath
 
 RUNS_MAX = 1_000_000
 """More than anybody waits for: a grid that was meant otherwise."""

@@ -18,10 +18,10 @@ from slamcmp.experiment.config.record import Record
 from slamcmp.experiment.config.stop_rule import SEEDS_MAX, StopRule
 from slamcmp.registry import did_you_mean
 from slamcmp.results.judgements.published import Published, check_published, published_keys
-from slamcmp.support.bounds import INTEGER_MAX, unusable_values
-from slamcmp.support.config_errors import ConfigErrors, ConfigSource
-from slamcmp.support.extended_yaml import load_extended
-from slamcmp.support.yaml_source import KeyPath
+from slamcmp.support.configuration.bounds import INTEGER_MAX, unusable_values
+from slamcmp.support.configuration.config_errors import ConfigErrors, ConfigSource
+from slamcmp.support.configuration.extended_yaml import load_extended
+from slamcmp.support.configuration.yaml_source import KeyPath
 
 Seed = Annotated[int, Field(ge=0, le=INTEGER_MAX)]
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.\- ]{0,127}$"

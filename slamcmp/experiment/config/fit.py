@@ -9,10 +9,10 @@ from typing import Any
 from slamcmp.errors import UsageError
 from slamcmp.experiment.config.component import Component
 from slamcmp.registry import Plugin
-from slamcmp.support.config_errors import ConfigErrors
+from slamcmp.support.configuration.config_errors import ConfigErrors
+from slamcmp.support.configuration.plugin_models import bind_parameters
+from slamcmp.support.configuration.yaml_source import KeyPath
 from slamcmp.support.messages import describe
-from slamcmp.support.plugin_models import bind_parameters
-from slamcmp.support.yaml_source import KeyPath
 
 IMAGES = "images"
 """The trait of a source whose log has images in place of detections, and of a front end that needs them."""

@@ -8,8 +8,8 @@ from slamcmp.experiment.config.component import OWN_GATE
 from slamcmp.experiment.config.experiment import ExperimentFields
 from slamcmp.metrics import metric_columns
 from slamcmp.registry import Plugin, Registry, back_ends, figures, front_ends, sources
-from slamcmp.support.extended_yaml import EXTENDS, PRIVATE
-from slamcmp.support.plugin_models import parameter_model
+from slamcmp.support.configuration.extended_yaml import EXTENDS, PRIVATE
+from slamcmp.support.configuration.plugin_models import parameter_model
 
 PROBABILITY_SCHEMA = {
     "type": ["number", "null"],

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from slamcmp.errors import MissingDataError
 from slamcmp.registry import did_you_mean
-from slamcmp.support.paths import is_file
-from slamcmp.support.shipped_files import shipped_folder
+from slamcmp.support.files.paths import is_file
+from slamcmp.support.files.shipped_files import shipped_folder
 
 
 def shipped_experiments() -> dict[str, Path]:

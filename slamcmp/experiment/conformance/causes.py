@@ -25,7 +25,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from slamcmp.backends.entries import places_by_itself
-from slamcmp.backends.filters.covariance import block_diagonal
+from slamcmp.backends.filters.covariances.covariance import block_diagonal
 from slamcmp.experiment.conformance.bench import Bench, run
 from slamcmp.geometry import adjoint_of_inverse, inverse, transform
 from slamcmp.protocols import Mapper

@@ -21,9 +21,9 @@ from slamcmp.experiment.executors.remote_job import Sent, do, for_elsewhere, pac
 from slamcmp.experiment.job.task import Task, stream_path, truth_path
 from slamcmp.registry import executors
 from slamcmp.results.runs.run_file import load_truth
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.packed_files import content
 from slamcmp.support.messages import describe
-from slamcmp.support.packed_files import content
 
 CONNECT_S = 10.0
 WORKERS_S = 60.0

@@ -14,7 +14,7 @@ from types import ModuleType
 
 from slamcmp.backends.filters.loops import is_kept
 from slamcmp.errors import StorageError, UsageError
-from slamcmp.support.code_version import PACKAGE, file_digest, version_of
+from slamcmp.support.provenance.code_version import PACKAGE, file_digest, version_of
 
 THREAD_VARIABLES = (
     "OPENBLAS_NUM_THREADS",

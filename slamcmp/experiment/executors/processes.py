@@ -26,7 +26,7 @@ from slamcmp.experiment.executors.fork_server import no_main_module, refresh, wa
 from slamcmp.experiment.job.process import LOST_STREAM, OUTDATED, STORAGE_FAILED, work
 from slamcmp.experiment.job.task import BEATS
 from slamcmp.registry import executors
-from slamcmp.support.log_file import trim
+from slamcmp.support.files.log_file import trim
 from slamcmp.support.messages import describe
 from slamcmp.support.process_tree import end_group, end_tree, is_alive
 from slamcmp.support.shared_arrays import SharedArrays

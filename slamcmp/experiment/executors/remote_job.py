@@ -21,7 +21,7 @@ from slamcmp.experiment.job.collected import recovered
 from slamcmp.experiment.job.task import Task, stream_path, truth_path
 from slamcmp.experiment.job.worker import scored
 from slamcmp.results.runs.run_file import load_truth, save_run
-from slamcmp.support.code_version import PACKAGE, file_digest, stamp, version_of
+from slamcmp.support.provenance.code_version import PACKAGE, file_digest, stamp, version_of
 from slamcmp.types import Status
 
 _PLACES = threading.local()

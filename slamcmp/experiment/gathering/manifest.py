@@ -18,8 +18,8 @@ from slamcmp.experiment.config.experiment import Experiment
 from slamcmp.experiment.content_key import run_code, stream_code
 from slamcmp.registry import SESSION
 from slamcmp.results.store import finite
-from slamcmp.support.code_version import PACKAGE, code_version, versions
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
+from slamcmp.support.provenance.code_version import PACKAGE, code_version, versions
 
 SEEDS_NAMED = 8
 """Of a folder, so many at most stand in its name."""

@@ -37,7 +37,7 @@ from slamcmp.results.runs.gathered import AboutStream, GatheredParts, Settled
 from slamcmp.results.runs.of_runs import outcome
 from slamcmp.results.runs.run_file import StoredRun, StoredTruth, load_run, load_truth, relabelled
 from slamcmp.support.messages import describe, told
-from slamcmp.support.opened_files import UNKNOWN, changed
+from slamcmp.support.provenance.opened_files import UNKNOWN, changed
 from slamcmp.types import GroundTruth
 
 UNREADABLE = Fault(

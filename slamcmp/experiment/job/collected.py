@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slamcmp.support.code_version import versions
 from slamcmp.support.messages import told
+from slamcmp.support.provenance.code_version import versions
 from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import (
     TANGENT_DIM,

@@ -19,9 +19,9 @@ from slamcmp.frontend.stream_file import save_stream
 from slamcmp.metrics.association import association_totals, in_own_names
 from slamcmp.registry import front_ends, sources
 from slamcmp.results.runs.run_file import StoredTruth, save_truth
+from slamcmp.support.configuration.plugin_models import bind_parameters
 from slamcmp.support.messages import describe, told
-from slamcmp.support.opened_files import OpenedFiles
-from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.provenance.opened_files import OpenedFiles
 from slamcmp.types import CameraFrame, FloatArray, GroundTruth, Log, MeasurementStream
 
 

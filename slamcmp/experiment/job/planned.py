@@ -9,8 +9,8 @@ from pathlib import Path
 
 from slamcmp.experiment.job.task import Task
 from slamcmp.loaded_code import imported_libraries, loaded_digests
-from slamcmp.support.code_version import PACKAGE, foreign_imports, stamp
-from slamcmp.support.opened_files import UNKNOWN, OpenedFiles, watched
+from slamcmp.support.provenance.code_version import PACKAGE, foreign_imports, stamp
+from slamcmp.support.provenance.opened_files import UNKNOWN, OpenedFiles, watched
 
 SEEN = frozenset({"numpy", "scipy", "slamcmp"})
 """Libraries that open files through Python, which tells of it."""

@@ -7,8 +7,8 @@ import gc
 import slamcmp.experiment.job.worker  # noqa: F401
 from slamcmp.backends.filters.loops import is_kept, kernels
 from slamcmp.registry import back_ends, front_ends, metrics, sources
-from slamcmp.support.code_version import versions
-from slamcmp.support.plugin_models import parameter_model
+from slamcmp.support.configuration.plugin_models import parameter_model
+from slamcmp.support.provenance.code_version import versions
 
 metrics.names()
 # Made here once instead of in every job: half of what a job cost beside its back end.

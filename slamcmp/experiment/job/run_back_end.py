@@ -16,8 +16,8 @@ from slamcmp.experiment.job.task import BEATS
 from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
 from slamcmp.support.memory import PeakMemory
 from slamcmp.support.messages import describe, told
+from slamcmp.support.provenance.unseen_reads import paused
 from slamcmp.support.shared_arrays import SharedArrays
-from slamcmp.support.unseen_reads import paused
 from slamcmp.types import (
     TANGENT_DIM,
     Estimate,

@@ -10,7 +10,7 @@ from typing import Any
 
 from slamcmp.experiment.config.record import Record
 from slamcmp.registry import Plugin
-from slamcmp.support.code_version import PACKAGE
+from slamcmp.support.provenance.code_version import PACKAGE
 
 BEATS = 5
 """Numbers in a heartbeat: the time of the start, the frames done, the times of the last frame and of the last

@@ -24,9 +24,9 @@ from slamcmp.protocols import BackEnd
 from slamcmp.registry import Plugin, back_ends
 from slamcmp.results.runs.posteriors import save_posteriors
 from slamcmp.results.runs.run_file import StoredRun, load_truth, save_run, truth_digest
-from slamcmp.support.code_version import stamp
+from slamcmp.support.configuration.plugin_models import bind_parameters
 from slamcmp.support.messages import describe, told
-from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.provenance.code_version import stamp
 from slamcmp.support.shared_arrays import SharedArrays
 from slamcmp.types import GroundTruth, MeasurementStream, Problem, Run, Status
 

@@ -13,8 +13,8 @@ from slamcmp.experiment.planning.settled import settled_keys
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial, make_trials
 from slamcmp.results.runs.gathered import GatheredParts
 from slamcmp.results.runs.run_file import load_run, load_truth
-from slamcmp.support.opened_files import unchanged
-from slamcmp.support.packed_files import names_in
+from slamcmp.support.files.packed_files import names_in
+from slamcmp.support.provenance.opened_files import unchanged
 
 
 @dataclass

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 
 from slamcmp.experiment.planning.trials import Trial
-from slamcmp.support.code_version import PACKAGE, code_version
+from slamcmp.support.provenance.code_version import PACKAGE, code_version
 
 
 def settled_keys(trials: Sequence[Trial], reference: str | None) -> Callable[[Trial], str]:

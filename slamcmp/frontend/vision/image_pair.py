@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.degeneracy import Method, Verification, verify_matches
-from slamcmp.frontend.vision.harris import Corners, harris_corners
+from slamcmp.frontend.vision.features.harris import Corners, harris_corners
+from slamcmp.frontend.vision.features.orb import BORDER_PX, describe
+from slamcmp.frontend.vision.features.suppression import suppress_brown, suppress_cells
+from slamcmp.frontend.vision.geometry.degeneracy import Method, Verification, verify_matches
 from slamcmp.frontend.vision.matching import Matches, match_descriptors
-from slamcmp.frontend.vision.orb import BORDER_PX, describe
-from slamcmp.frontend.vision.suppression import suppress_brown, suppress_cells
 from slamcmp.types import BoolArray, FloatArray
 
 Suppression = Literal["cells", "brown", "none"]
@@ -94,7 +94,7 @@ def extract_features(
         suppression: square cells (fast), Brown's exact radii, or none (simply the strongest).
         candidates: how many of the strongest corners suppression chooses from.
         quality: smallest response as a share of the largest.
-        subpixel: see :func:`~slamcmp.frontend.vision.harris.harris_corners`.
+        subpixel: see :func:`~slamcmp.frontend.vision.features.harris.harris_corners`.
     """
     clock = _Clock()
     with clock.stage("harris"):
@@ -141,7 +141,7 @@ def match_features(
     """Match two images' features and reject what the geometry of two views does not allow.
 
     The parameters are those of :func:`~slamcmp.frontend.vision.matching.match_descriptors` and
-    :func:`~slamcmp.frontend.vision.degeneracy.verify_matches`.
+    :func:`~slamcmp.frontend.vision.geometry.degeneracy.verify_matches`.
     """
     clock = _Clock()
     with clock.stage("matching"):

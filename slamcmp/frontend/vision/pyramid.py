@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slamcmp.errors import UsageError
-from slamcmp.frontend.vision.harris import Corners
+from slamcmp.frontend.vision.features.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features, Suppression, extract_features
 from slamcmp.image_files import SIDE_MIN_PX
 from slamcmp.types import FloatArray

@@ -31,9 +31,9 @@ from slamcmp.grading.assignment.handout import (
 from slamcmp.grading.results.outcome import Visibility
 from slamcmp.grading.sandbox.policy import Policy
 from slamcmp.registry import Plugin, did_you_mean, test_kinds
-from slamcmp.support.config_errors import ConfigErrors
-from slamcmp.support.plugin_models import bind_parameters, parameter_model
-from slamcmp.support.yaml_source import KeyPath, YamlSource, load_yaml
+from slamcmp.support.configuration.config_errors import ConfigErrors
+from slamcmp.support.configuration.plugin_models import bind_parameters, parameter_model
+from slamcmp.support.configuration.yaml_source import KeyPath, YamlSource, load_yaml
 
 
 class LimitFields(BaseModel):

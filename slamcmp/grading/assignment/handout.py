@@ -14,7 +14,7 @@ from pathlib import Path
 
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.registry import did_you_mean
-from slamcmp.support.shipped_files import shipped_folder
+from slamcmp.support.files.shipped_files import shipped_folder
 
 SHIPPED = shipped_folder() / "assignments"
 STAFF_VARIABLE = "SLAMCMP_STAFF"

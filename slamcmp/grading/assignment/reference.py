@@ -17,7 +17,7 @@ from slamcmp.grading.assignment.description import (
     TestFields,
 )
 from slamcmp.registry import Plugin, test_kinds
-from slamcmp.support.plugin_models import parameter_model
+from slamcmp.support.configuration.plugin_models import parameter_model
 
 _ARGUMENT = re.compile(r"^(\w+): (.*)$")
 

@@ -20,7 +20,7 @@ from slamcmp.grading.results.class_statistics import (
 from slamcmp.grading.results.class_summary import BINS, ClassSummary, summarise
 from slamcmp.grading.results.gradebook import GradebookRow
 from slamcmp.grading.results.student_view import clean, points
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 DISCRIMINATES = 0.2
 """Item-rest correlation below which a test tells little about the rest, by the usual rule of thumb."""

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from slamcmp.grading.results.outcome import GradeOutcome
 from slamcmp.grading.results.student_view import clean, rounded, total
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 

@@ -23,7 +23,7 @@ from slamcmp.grading.results.student_view import (
     total,
     without_staff_detail,
 )
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 _STATUS: dict[TestStatus, str] = {"passed": "passed"}
 """Gradescope knows passed and failed only; partial credit counts as failed there."""

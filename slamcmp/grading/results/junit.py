@@ -9,7 +9,7 @@ from typing import Literal
 
 from slamcmp.grading.results.outcome import GradeOutcome, TestOutcome, TestStatus
 from slamcmp.grading.results.student_view import STATUS_WORDS, clean, opening, points, visible_tests
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 Audience = Literal["student", "staff"]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 TestStatus = Literal["passed", "partial", "failed", "error", "timed_out", "skipped"]
 Visibility = Literal["visible", "hidden", "after_due_date", "after_published"]

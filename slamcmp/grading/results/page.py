@@ -11,8 +11,8 @@ from slamcmp.grading.results.images import curves_of, data_uri
 from slamcmp.grading.results.junit import Audience
 from slamcmp.grading.results.outcome import GradeOutcome, Plot, TestOutcome
 from slamcmp.grading.results.student_view import STATUS_WORDS, clean, opening, points, total, visible_tests
-from slamcmp.grading.sandbox.proofs import MEANING
-from slamcmp.support.atomic import write_atomically
+from slamcmp.grading.sandbox.walls.proofs import MEANING
+from slamcmp.support.files.atomic import write_atomically
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from slamcmp.grading.results.student_view import (
     total,
     visible_tests,
 )
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 
 BYTES_MAX = 1_000_000
 """Of the file; a larger one is refused with the score in it."""

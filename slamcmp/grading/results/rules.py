@@ -29,8 +29,8 @@ from slamcmp.grading.results.gradebook import GradebookRow, safe_cell
 from slamcmp.grading.results.outcome import GradeOutcome
 from slamcmp.grading.results.student_view import clean
 from slamcmp.registry import did_you_mean
-from slamcmp.support.config_errors import ConfigErrors
-from slamcmp.support.yaml_source import KeyPath, load_yaml
+from slamcmp.support.configuration.config_errors import ConfigErrors
+from slamcmp.support.configuration.yaml_source import KeyPath, load_yaml
 
 COLUMNS = ("student", "late_h", "attempts")
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import slamcmp
 from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.grading.hand_in.hand_in import Collector
-from slamcmp.support.atomic import write_atomically
-from slamcmp.support.shipped_files import shipped_folder
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.shipped_files import shipped_folder
 
 PACKAGE = Path(slamcmp.__file__).parent
 FILES = Path(__file__).parent / "bundle_files"

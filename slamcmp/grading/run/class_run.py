@@ -39,11 +39,11 @@ from slamcmp.grading.run.grade_process import (
     outcome_of,
     write_pages,
 )
-from slamcmp.support.atomic import write_atomically
-from slamcmp.support.code_version import code_version, versions
 from slamcmp.support.cores import available_cores
-from slamcmp.support.lock import locked
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.lock import locked
 from slamcmp.support.progress import Watcher
+from slamcmp.support.provenance.code_version import code_version, versions
 
 FORMAT = 1
 POLL_S = 0.02

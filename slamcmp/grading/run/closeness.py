@@ -22,8 +22,8 @@ import numpy as np
 from slamcmp.grading.results.scoring import leaves, log_linear
 from slamcmp.grading.run.implementations import TrustedImplementation
 from slamcmp.grading.run.trial import Implementation
-from slamcmp.grading.sandbox.answers import Answer
 from slamcmp.grading.sandbox.errors import StudentError
+from slamcmp.grading.sandbox.pipes.answers import Answer
 from slamcmp.types import FloatArray, Frame, Problem
 
 STEPS = 500

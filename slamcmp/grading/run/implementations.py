@@ -14,9 +14,9 @@ import numpy as np
 
 from slamcmp.grading.results.scoring import leaves
 from slamcmp.grading.run.trial import Implementation
-from slamcmp.grading.sandbox.answers import Answer, read_answer
 from slamcmp.grading.sandbox.errors import StudentError, StudentTimeout
-from slamcmp.grading.sandbox.protocol import PREFIX, NotTransferable, decode, encode, parse_prefix
+from slamcmp.grading.sandbox.pipes.answers import Answer, read_answer
+from slamcmp.grading.sandbox.pipes.protocol import PREFIX, NotTransferable, decode, encode, parse_prefix
 from slamcmp.grading.sandbox.session import SandboxSession
 from slamcmp.types import Frame, Problem
 

@@ -29,8 +29,8 @@ from slamcmp.grading.assignment.description import LimitFields, TestSpec
 from slamcmp.grading.results.outcome import test_of
 from slamcmp.grading.run.judge import Judge, Judged, without_points
 from slamcmp.grading.sandbox.errors import SandboxUnavailable
-from slamcmp.grading.sandbox.identity import die_with_parent, hold_undumpable, release_undumpable
 from slamcmp.grading.sandbox.staging import remove_of
+from slamcmp.grading.sandbox.walls.identity import die_with_parent, hold_undumpable, release_undumpable
 from slamcmp.support.messages import printable
 
 _POLL_S = 0.1

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slamcmp.grading.hand_in.submission import Submission
-from slamcmp.grading.sandbox import definitions
+from slamcmp.grading.sandbox.inside import definitions
 
 _MEMORY_BYTES, _CPU_S, _WALL_S = 384 << 20, 5, 20
 _LEFT_OUT_TOLD = 5

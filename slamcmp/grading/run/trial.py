@@ -14,7 +14,7 @@ import numpy as np
 
 from slamcmp.errors import UsageError
 from slamcmp.grading.results.outcome import Plot
-from slamcmp.grading.sandbox.answers import Answer
+from slamcmp.grading.sandbox.pipes.answers import Answer
 from slamcmp.types import FloatArray, Frame, Problem
 
 

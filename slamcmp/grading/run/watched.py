@@ -10,8 +10,8 @@ import numpy as np
 
 from slamcmp.grading.results.scoring import leaves, relative_error
 from slamcmp.grading.run.trial import Implementation
-from slamcmp.grading.sandbox.answers import Answer
 from slamcmp.grading.sandbox.errors import StudentError
+from slamcmp.grading.sandbox.pipes.answers import Answer
 from slamcmp.types import FloatArray, Frame, Problem
 
 ROWS_MORE = 10_000

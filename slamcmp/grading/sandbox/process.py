@@ -15,10 +15,10 @@ from pathlib import Path
 
 import slamcmp
 from slamcmp.grading import sandbox
-from slamcmp.grading.sandbox.bubblewrap import bubblewrap_command
-from slamcmp.grading.sandbox.channel import Channel, widen
+from slamcmp.grading.sandbox.pipes.channel import Channel, widen
 from slamcmp.grading.sandbox.policy import Policy, Readable
-from slamcmp.grading.sandbox.proofs import Targets
+from slamcmp.grading.sandbox.walls.bubblewrap import bubblewrap_command
+from slamcmp.grading.sandbox.walls.proofs import Targets
 
 ROOT = str(Path(slamcmp.__file__).parent.parent)
 # The grader's own limit of memory is not the worker's, which sets one once it has loaded its modules.
@@ -31,7 +31,7 @@ sys.path += [site for site in {sites!r} if site not in sys.path]
 from {module} import main
 main({request}, {reply})
 """
-_WORKER = "slamcmp.grading.sandbox.worker"
+_WORKER = "slamcmp.grading.sandbox.inside.worker"
 _CORE = (
     "slamcmp",
     "slamcmp.errors",
@@ -123,7 +123,7 @@ class Worker:
 @functools.cache
 def _source_files(modules: tuple[str, ...]) -> tuple[str, ...]:
     """Files of slamcmp that the worker itself imports, with their compiled twins."""
-    inside = [module.name for module in pkgutil.iter_modules(sandbox.__path__, "slamcmp.grading.sandbox.")]
+    inside = [module.name for module in pkgutil.walk_packages(sandbox.__path__, "slamcmp.grading.sandbox.")]
     names = [*_CORE, "slamcmp.geometry", "slamcmp.grading", "slamcmp.grading.sandbox", *inside]
     for module in modules:
         parts = module.split(".")

@@ -20,10 +20,6 @@ from types import TracebackType
 from typing import Any, NewType, Self
 
 from slamcmp.grading.hand_in.submission import Submission
-from slamcmp.grading.sandbox import identity
-from slamcmp.grading.sandbox.answers import Answer, read_answer, student_error
-from slamcmp.grading.sandbox.bubblewrap import bubblewrap_works
-from slamcmp.grading.sandbox.channel import Ended, Expired
 from slamcmp.grading.sandbox.errors import (
     ProtocolViolation,
     SandboxError,
@@ -31,13 +27,25 @@ from slamcmp.grading.sandbox.errors import (
     StudentCrashed,
     StudentTimeout,
 )
-from slamcmp.grading.sandbox.layers import ACTIVE, Surroundings
+from slamcmp.grading.sandbox.pipes.answers import Answer, read_answer, student_error
+from slamcmp.grading.sandbox.pipes.channel import Ended, Expired
+from slamcmp.grading.sandbox.pipes.protocol import FrameError, decode, encode
 from slamcmp.grading.sandbox.policy import Policy, Readable
 from slamcmp.grading.sandbox.process import ROOT, Worker
-from slamcmp.grading.sandbox.proofs import IN_THE_GRADER, MEANING, Level, Outcome, attempt, judge, level_of
-from slamcmp.grading.sandbox.protocol import FrameError, decode, encode
-from slamcmp.grading.sandbox.readable import readable_for, world_reachable
 from slamcmp.grading.sandbox.staging import Staging
+from slamcmp.grading.sandbox.walls import identity
+from slamcmp.grading.sandbox.walls.bubblewrap import bubblewrap_works
+from slamcmp.grading.sandbox.walls.layers import ACTIVE, Surroundings
+from slamcmp.grading.sandbox.walls.proofs import (
+    IN_THE_GRADER,
+    MEANING,
+    Level,
+    Outcome,
+    attempt,
+    judge,
+    level_of,
+)
+from slamcmp.grading.sandbox.walls.readable import readable_for, world_reachable
 from slamcmp.support.messages import printable
 from slamcmp.types import Estimate, Frame, Landmarks, Problem, Trajectory
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from slamcmp.grading.sandbox.errors import SandboxUnavailable
-from slamcmp.grading.sandbox.proofs import Targets
+from slamcmp.grading.sandbox.walls.proofs import Targets
 
 _PREFIX = "slamcmp-"
 _STALE_S = 3600.0

@@ -21,7 +21,7 @@ from slamcmp.report.figures.look import Look
 from slamcmp.results.grid import at_point, middle_point, point_name
 from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 from slamcmp.support.messages import describe
 
 ORDER = (

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from slamcmp.datasets.plain.log_checks import GAP, OUTLIER_SIGMAS, ComponentErrors, Report
 from slamcmp.report.figures.style import BAND, MARKERS, PALETTE, RC, TRUTH, new_figure
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 from slamcmp.types import FloatArray
 
 _BARS = 40

@@ -12,8 +12,8 @@ from slamcmp.registry import did_you_mean
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-    from slamcmp.support.config_errors import ConfigErrors
-    from slamcmp.support.yaml_source import KeyPath
+    from slamcmp.support.configuration.config_errors import ConfigErrors
+    from slamcmp.support.configuration.yaml_source import KeyPath
 
 Tolerance = Annotated[float, Field(gt=0)]
 

@@ -24,8 +24,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from slamcmp.results.store import TABLES
-from slamcmp.support.atomic import write_atomically
-from slamcmp.support.packed_files import FOLDER, packed_files
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.packed_files import FOLDER, packed_files
 
 FORMAT = "slamcmp-gathered-1"
 Span = tuple[int, int]

@@ -25,7 +25,7 @@ from slamcmp.metrics import frame_table, landmark_table, score_run
 from slamcmp.results.runs.of_runs import outcome
 from slamcmp.results.runs.run_file import StoredRun, load_run, save_run
 from slamcmp.results.store import IMPORTED, MANIFEST, Results, load_results, save_results
-from slamcmp.support.paths import is_file
+from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray, GroundTruth, Run, Trajectory
 
 SAME_STAMP_S = 1e-6

@@ -12,7 +12,7 @@ import numpy as np
 
 from slamcmp.errors import DataError
 from slamcmp.metrics.information import posterior_kl
-from slamcmp.support.atomic import write_atomically
+from slamcmp.support.files.atomic import write_atomically
 from slamcmp.types import FloatArray, Landmarks
 
 

@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from slamcmp.support.atomic import write_atomically
-from slamcmp.support.npz import read_arrays
-from slamcmp.support.packed_files import content
+from slamcmp.support.files.atomic import write_atomically
+from slamcmp.support.files.npz import read_arrays
+from slamcmp.support.files.packed_files import content
 from slamcmp.types import Association, BoolArray, GroundTruth, IntArray, Landmarks, Run, Trajectory
 from slamcmp.types.columns import parts
 

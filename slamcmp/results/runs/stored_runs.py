@@ -11,7 +11,7 @@ from slamcmp.registry import did_you_mean
 from slamcmp.results.grid import labels, rows_of
 from slamcmp.results.runs.run_file import load_run
 from slamcmp.results.store import Results
-from slamcmp.support.packed_files import names_in
+from slamcmp.support.files.packed_files import names_in
 from slamcmp.types import Run
 
 

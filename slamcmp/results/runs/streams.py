@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from slamcmp.results.runs.run_file import StoredTruth, load_truth
-from slamcmp.support.packed_files import names_in
+from slamcmp.support.files.packed_files import names_in
 
 
 def known_streams(folder: Path) -> dict[str, StoredTruth]:

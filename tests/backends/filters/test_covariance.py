@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.backends.filters.covariance import FULL_LIMIT, JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariances.covariance import FULL_LIMIT, JointCovariance, block_diagonal
 
 
 def run_verbs(landmarks: int, size: int, p: int, seed: int) -> tuple[JointCovariance, np.ndarray]:

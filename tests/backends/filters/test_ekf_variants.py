@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from slamcmp import geometry
-from slamcmp.backends.filters import covariance
-from slamcmp.backends.filters.charts import (
+from slamcmp.backends.filters.covariances import covariance
+from slamcmp.backends.filters.ekf_slam import EkfSlam
+from slamcmp.backends.filters.error_state.charts import (
     Chart,
     LeftInvariantChart,
     RightInvariantChart,
     RobocentricChart,
     WorldChart,
 )
-from slamcmp.backends.filters.ekf_slam import EkfSlam
-from slamcmp.backends.filters.iterated import IteratedEkf
-from slamcmp.backends.filters.linearisation import (
+from slamcmp.backends.filters.error_state.linearisation import (
     FirstEstimates,
     LatestEstimate,
     ObservabilityConstrained,
 )
+from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.robocentric import RobocentricEkf
 from slamcmp.backends.filters.variants import (
     FirstEstimatesEkf,

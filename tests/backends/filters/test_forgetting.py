@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.backends.filters.covariance import FULL_LIMIT, JointCovariance
+from slamcmp.backends.filters.covariances.covariance import FULL_LIMIT, JointCovariance
 from slamcmp.backends.filters.ekf_slam import EkfSlam
 from slamcmp.errors import UsageError
 from tests.camera_stream import Kind, camera_stream, without_returns

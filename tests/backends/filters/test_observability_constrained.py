@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slamcmp.backends.filters.linearisation import ObservabilityConstrained
+from slamcmp.backends.filters.error_state.linearisation import ObservabilityConstrained
 
 
 @pytest.mark.parametrize("space", [2, 3])

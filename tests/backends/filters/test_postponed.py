@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamcmp.backends.filters.covariance import FULL_LIMIT
+from slamcmp.backends.filters.covariances.covariance import FULL_LIMIT
+from slamcmp.backends.filters.covariances.postponed import COMPRESS_AT, PostponedCovariance
 from slamcmp.backends.filters.ekf_slam import EkfSlam
-from slamcmp.backends.filters.postponed import COMPRESS_AT, PostponedCovariance
 from slamcmp.types import MeasurementStream
 from tests.backends.graph_streams import spatial_stream
 from tests.toy_stream import toy_stream

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from gtsam import noiseModel
 
-from slamcmp.backends.filters.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariances.covariance import JointCovariance, block_diagonal
+from slamcmp.backends.filters.covariances.error_covariance import ErrorCovariance
 from slamcmp.backends.filters.ekf_slam import EkfSlam
-from slamcmp.backends.filters.error_covariance import ErrorCovariance
 from slamcmp.backends.filters.iterated import IteratedEkf
 from slamcmp.backends.filters.msckf import Msckf
 from slamcmp.backends.filters.robocentric import RobocentricEkf

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from slamcmp.backends.filters.charts import LeftInvariantChart, RightInvariantChart, WorldChart
+from slamcmp.backends.filters.error_state.charts import LeftInvariantChart, RightInvariantChart, WorldChart
+from slamcmp.backends.filters.error_state.linearisation import LatestEstimate
 from slamcmp.backends.filters.error_state_ekf import ErrorStateEkf
 from slamcmp.backends.filters.kalman import KnownHeadingKalmanFilter
-from slamcmp.backends.filters.linearisation import LatestEstimate
 from slamcmp.backends.filters.ukf import UkfSlam
 from tests.oracles.filters import run, world_of
 

@@ -3,7 +3,7 @@ Wins if a patched protocol module answers every later request with a pass.
 Defence: scores are computed by the grader from the numbers themselves.
 """
 
-import slamcmp.grading.sandbox.protocol as protocol
+import slamcmp.grading.sandbox.pipes.protocol as protocol
 
 genuine = protocol.encode
 

@@ -147,7 +147,7 @@ def contaminated(
         For each share and draw, (shares, draws): the median Sampson distance [px] of the right
         matches from the fit, infinite without one, and the share of them that is within its threshold.
     """
-    from slamcmp.frontend.vision import fundamental
+    from slamcmp.frontend.vision.geometry import fundamental
 
     distance = np.full((len(shares), draws), np.inf)
     kept = np.zeros_like(distance)

@@ -39,7 +39,7 @@ SAYING = {
     "mirrored": "a mirror image: no camera sees that, nothing can be judged",
     "not_finite": "matches that are not finite: nothing can be judged",
 }
-"""For each of ``frontend.vision.degeneracy.Geometry``."""
+"""For each of ``frontend.vision.geometry.degeneracy.Geometry``."""
 
 
 def draw_front_end(

@@ -13,7 +13,7 @@ from slamcmp.registry import front_ends, sources
 from slamcmp.report.figures.drawable import NotDrawable, typical_trial
 from slamcmp.results.grid import swept_columns, trial_name
 from slamcmp.results.store import Results
-from slamcmp.support.plugin_models import bind_parameters
+from slamcmp.support.configuration.plugin_models import bind_parameters
 from slamcmp.types import Log
 
 

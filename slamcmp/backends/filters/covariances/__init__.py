@@ -1,0 +1,1 @@
+"""Joint covariances changed in place by a few named verbs."""

@@ -1,0 +1,1 @@
+"""Corners, few of them spread over the image, and their descriptors."""

@@ -1,0 +1,1 @@
+"""Points followed from image to image, measured, and handed on as landmarks."""

@@ -1,0 +1,1 @@
+"""What runs behind the walls: the worker, and the submission that it loads."""

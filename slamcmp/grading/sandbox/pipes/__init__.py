@@ -1,0 +1,1 @@
+"""How grader and worker talk, neither trusting what arrives."""

@@ -1,0 +1,1 @@
+"""YAML that knows its places, and the parameters that plug-ins take from it."""

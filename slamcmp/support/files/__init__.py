@@ -1,0 +1,1 @@
+"""Files and folders: written whole, packed, locked, named by users."""
