@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 PYTEST_ARGS ?=
 
-.PHONY: demo test check install install-docs install-test bench bench-check slow docs docs-figures answer clean
+.PHONY: demo test check static kernels install install-docs install-test bench bench-check slow docs docs-figures answer clean
 
 demo: install
 	$(BIN)/slamcmp run experiments/victoria_park.yaml
@@ -14,11 +14,18 @@ test: install-test
 	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
 
 check: install-test
+	$(MAKE) --no-print-directory -j2 static kernels
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+static:
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+# Once, on the core that the checkers leave free: each of pytest's workers would compile for itself.
+kernels:
+	$(BIN)/python -c 'from slamcmp.backends.filters.loops import kernels; kernels()'
 
 slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 $(PYTEST_ARGS)
