@@ -1,5 +1,7 @@
-"""Graphs whose ids are any names, and graphs that are no chain of odometry; right values by hand or "
-"by gtsam."""
+"""Graphs whose ids are any names, and graphs that are no chain of odometry.
+
+Right values by hand or by gtsam.
+"""
 
 from __future__ import annotations
 
@@ -111,6 +113,34 @@ def test_a_marker_numbered_among_the_poses_is_refused(tmp_path):
     assert "pose 2 is only looked at (from 1, 3)" in refused(tmp_path, *lines)
 
 
+@pytest.mark.parametrize(("marker", "reason"), [
+    (100, "does not follow pose 3 in the numbering"),
+    (4, "its edges lead the other way from those of the other poses"),
+])  # fmt: skip
+def test_a_marker_whose_edges_lead_from_it_is_named_itself(tmp_path, marker, reason):
+    back = [f"EDGE_SE2 {marker} {k} {k - 2} -3 0 {NOISE}" for k in (0, 3)]
+    told = refused(tmp_path, *chain(0, 1, 2, 3), *back)
+    assert told.startswith(f":4: pose {marker} only looks at others (0, 3) and {reason}")
+    among = [f"EDGE_SE2 2 {k} {k - 2} -3 0 {NOISE}" for k in (1, 3)]
+    told = refused(tmp_path, *chain(0, 1, 3, 4), *among)
+    assert told.startswith(":4: pose 2 only looks at others (1, 3) and the poses beside it are joined")
+
+
+def test_an_edge_between_poses_ends_at_no_landmarks_vertex(tmp_path):
+    told = refused(tmp_path, "VERTEX_XY 4 1 1", *chain(0, 1, 2, 3, 4))
+    assert told.startswith(":5: an edge between poses, but 4 is a landmark's vertex")
+    # Where poses and landmarks have numbers of their own, 2 is both.
+    assert len(log_of(tmp_path, "VERTEX_XY 2 1 1", *chain(0, 1, 2, 3), *sights(2, 0, 1)).t) == 4
+
+
+def test_a_jump_of_the_numbering_is_told(tmp_path):
+    # A second session, or markers that are joined with one another: the file cannot tell.
+    log = log_of(tmp_path, *chain(0, 1, 2, 3, 100, 101))
+    assert "the numbers of the poses jump from 3 to 100" in log.warnings[0]
+    assert log_of(tmp_path, *chain(*range(0, 60, 3))).warnings == ()
+    assert log_of(tmp_path, *chain(3, 7, 8, 12, 19)).warnings == ()
+
+
 def test_chains_with_other_steps_than_one_are_chains(tmp_path):
     # Every tenth pose; ids that landmarks have taken; keyframes as they came.
     assert len(log_of(tmp_path, *chain(0, 10, 20, 30)).t) == 4
@@ -118,6 +148,9 @@ def test_chains_with_other_steps_than_one_are_chains(tmp_path):
     assert len(log_of(tmp_path, *chain(3, 7, 8, 12, 19)).t) == 5
     backwards = [f"EDGE_SE2 {k + 1} {k} -1 0 0 {NOISE}" for k in range(3)]
     assert len(log_of(tmp_path, *backwards, f"EDGE_SE2 3 0 -3 0 0 {NOISE}").t) == 4
+    # Each pose is needed to hold the chain together, so edges in both directions are odometry.
+    both_ways = log_of(tmp_path, *chain(0, 1), backwards[1], *chain(2, 3))
+    np.testing.assert_allclose(both_ways.T_prev_body[1:], [g.se2(1, 0, 0)] * 3, atol=1e-15)
 
 
 def test_a_vertex_missing_where_the_others_have_one(tmp_path):
@@ -241,6 +274,7 @@ def test_stamps_are_all_there_and_go_forward(tmp_path):
     assert told.startswith(":5: time 2.5 s of pose 2 does not come after 2.5 s of pose 1")
     told = refused(tmp_path, *chain(0, 1, 2), *stamps[:2])
     assert "pose 2 has no time stamp where 2 of 3 poses have one" in told
+    assert refused(tmp_path, *chain(0, 1), *stamps).startswith(":4: a time stamp of pose 2, which the file")
 
 
 # ---- loop closures ----

@@ -40,7 +40,7 @@ def view(
 ) -> None:
     """Replay a trial in Rerun: paths, ellipses, landmarks, measurements, images with features and matches.
 
-    An .rrd file is written, and opened in Rerun's viewer where there is a screen. Needs the extra [view].
+    An .rrd file is written, and opened in Rerun's viewer where there is a screen. Needs the extra view.
     """
     from slamcmp.report.figures.drawable import typical_trial
     from slamcmp.report.replay import write_replay

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from slamcmp.datasets.graphs.graph_types import Graph, PoseEdge, SensorName, name_of
-from slamcmp.datasets.graphs.odometry_chain import CONTRADICTION, split_edges, turned
+from slamcmp.datasets.graphs.odometry_chain import CONTRADICTION, numbering_jump, split_edges, turned
 from slamcmp.datasets.graphs.place_landmarks import Sight, place_sights
 from slamcmp.errors import DataError
 from slamcmp.models.sensors import make_sensor
@@ -75,6 +75,7 @@ def graph_log(
     index = {pose: k for k, pose in enumerate(ids)}
     sensor_name = _sensor_name(graph)
     _require_vertices(graph)
+    _refuse_landmark_vertices(graph)
     odometry, loops = split_edges(graph, ids)
 
     n = graph.space_dim
@@ -90,6 +91,8 @@ def graph_log(
                 Sight(sight.landmark, sight.measured, sight.covariance, sight.where)
             )
     warnings = list(graph.warnings)
+    if (jump := numbering_jump(graph, ids)) is not None:
+        warnings.append(jump)
     related: tuple[RelativePoses | None, ...] | None = None
     if loops and closures == "factors":
         related = _relative_poses(loops, index)
@@ -102,9 +105,10 @@ def graph_log(
         )
     numbers, own_ids = _numbering({sight.landmark for sights in seen.values() for sight in sights})
     if own_ids is not None:
+        to = f" to {len(own_ids) - 1} = {name_of(int(own_ids[-1]))}" if len(own_ids) > 1 else ""
         warnings.append(
-            f"{graph.path.name}: landmarks are numbered anew, from 0 = {name_of(int(own_ids[0]))} to "
-            f"{len(own_ids) - 1} = {name_of(int(own_ids[-1]))}; tables show their own names"
+            f"{graph.path.name}: landmarks are numbered anew, from 0 = {name_of(int(own_ids[0]))}{to}; "
+            "tables show their own names"
         )
 
     sensor = make_sensor(sensor_name, {"space_dim": n} if sensor_name == "relative_position" else {})
@@ -159,6 +163,24 @@ def _require_vertices(graph: Graph) -> None:
             )
 
 
+def _refuse_landmark_vertices(graph: Graph) -> None:
+    """Raise DataError if an edge between poses ends at what is a landmark only.
+
+    Poses and landmarks may share numbers; this number stands for a landmark, and no line but the edge takes
+    it for a pose, nor any for a landmark that is seen.
+    """
+    seen = {edge.landmark for edge in graph.landmark_edges}
+    poses = graph.poses.keys() | {edge.pose for edge in graph.landmark_edges}
+    for edge in graph.pose_edges:
+        for name in (edge.first, edge.second):
+            if name in graph.landmarks and name not in seen and name not in poses:
+                raise DataError(
+                    f"{edge.where}: an edge between poses, but {name_of(name)} is a landmark's vertex in the "
+                    "file: give it the vertex of a pose, or the edge the kind of a sight (EDGE_SE2_XY, in "
+                    "space EDGE_SE3_TRACKXYZ)"
+                )
+
+
 def _relative_poses(loops: Sequence[PoseEdge], index: dict[int, int]) -> tuple[RelativePoses | None, ...]:
     by_frame: dict[int, list[PoseEdge]] = defaultdict(list)
     for edge in loops:
@@ -185,6 +207,12 @@ def _numbering(names: set[int]) -> tuple[dict[int, int], IntArray | None]:
 
 
 def _times(graph: Graph, ids: Sequence[int], time_step_s: float) -> FloatArray:
+    unknown = sorted(graph.times.keys() - set(graph.pose_ids()))
+    if unknown:
+        raise DataError(
+            f"{graph.time_lines[unknown[0]]}: a time stamp of pose {name_of(unknown[0])}, which the file "
+            "does not have"
+        )
     stamped = [pose for pose in ids if pose in graph.times]
     if not stamped:
         return np.asarray(np.arange(len(ids)) * time_step_s, dtype=np.float64)

@@ -117,40 +117,68 @@ def fused(edges: Sequence[PoseEdge]) -> PoseEdge:
 
 
 def _refuse_landmarks(graph: Graph, ids: Sequence[int], edges: Sequence[PoseEdge]) -> None:
-    """Raise DataError if a pose is only ever looked at, which the robot's own poses are not.
+    """Raise DataError for a pose that is a landmark by all that the file tells.
 
-    In a chain whose edges lead onwards only the last pose is the end of all its edges (in one whose edges
-    lead back, the first); there only the numbering can tell.
+    The robot's own poses are looked at and look on; a marker stored as a pose only is looked at (or, its
+    edges stored from the other end, only looks). So do the first and the last pose of a chain, where the
+    numbering and the direction of the other edges tell, and a pose between whose own edges lead both ways,
+    where the chain tells: it holds together without a marker.
     """
     if len(ids) < 3:
         return
-    starts = {edge.first for edge in edges}
     index = {pose: k for k, pose in enumerate(ids)}
-    onwards = Counter(
-        index[edge.second] > index[edge.first]
-        for edge in edges
-        if abs(index[edge.first] - index[edge.second]) == 1
-    )
-    end = len(ids) - 1 if onwards[True] >= onwards[False] else 0
-    steps = _steps(graph, ids)
+    pairs = [(index[edge.first], index[edge.second]) for edge in edges]
+    starts, ends = {a for a, _ in pairs}, {b for _, b in pairs}
+    joined = {(min(a, b), max(a, b)) for a, b in pairs}
+    onwards = Counter(b > a for a, b in pairs if abs(a - b) == 1)
+    source, sink = (0, len(ids) - 1) if onwards[True] >= onwards[False] else (len(ids) - 1, 0)
+    jumps = _jumps(_steps(graph, ids))
     for k, pose in enumerate(ids):
-        if pose in starts:
+        looks, jump = k in starts, jumps[max(k - 1, 0)]
+        if looks and (k in ends or k == source):
             continue
-        at_end, other_steps = k == end, steps[:-1] if end else steps[1:]
-        step = steps[-1] if end else steps[0]
-        usual = max(other_steps)
-        if at_end and step <= (usual if usual == min(other_steps) else _UNUSUAL * usual):
+        if jump:
+            reason = f"does not follow pose {name_of(ids[k - 1] if k else ids[1])} in the numbering"
+        elif (k - 1, k + 1) in joined:
+            reason = "the poses beside it are joined without it"
+        elif k in (source, sink) and looks == (k == sink):
+            reason = "its edges lead the other way from those of the other poses"
+        else:
             continue
-        toward = [edge for edge in edges if edge.second == pose]
-        before = ids[k - 1] if k else ids[1]
-        seen_from = ", ".join(name_of(edge.first) for edge in toward[:3])
+        of_it = [edge for edge in edges if pose in (edge.first, edge.second)]
+        others = ", ".join(name_of(edge.second if looks else edge.first) for edge in of_it[:3])
         raise DataError(
-            f"{graph.pose_lines.get(pose, toward[0].where)}: pose {name_of(pose)} is only looked at (from "
-            f"{seen_from}) and does not follow pose {name_of(before)} in the numbering: a landmark "
-            "stored as a "
-            "pose? Store it as one (VERTEX_XY with EDGE_SE2_XY; in space VERTEX_TRACKXYZ with "
-            "EDGE_SE3_TRACKXYZ), or number the poses in the order in which the robot took them"
+            f"{graph.pose_lines.get(pose, of_it[0].where)}: pose {name_of(pose)} "
+            f"{f'only looks at others ({others})' if looks else f'is only looked at (from {others})'} and "
+            f"{reason}: a landmark stored as a pose? Store it as one (VERTEX_XY with EDGE_SE2_XY; in space "
+            "VERTEX_TRACKXYZ with EDGE_SE3_TRACKXYZ), or number the poses in the order in which the robot "
+            "took them"
         )
+
+
+def numbering_jump(graph: Graph, ids: Sequence[int]) -> str | None:
+    """What is to be told where the numbers of the poses jump once: a second session, or a marker's number."""
+    jumps = _jumps(_steps(graph, ids)) if len(ids) > 2 else []
+    if True not in jumps:
+        return None
+    k = jumps.index(True)
+    return (
+        f"{graph.path.name}: the numbers of the poses jump from {name_of(ids[k])} to {name_of(ids[k + 1])}; "
+        "the edge between these two is taken for a step of the robot's odometry"
+    )
+
+
+def _jumps(steps: Sequence[int]) -> list[bool]:
+    """Of each step, whether it is none that this numbering has elsewhere.
+
+    Regular numbers have one step; irregular ones any up to :data:`_UNUSUAL` times the largest other.
+    """
+    ordered = sorted(steps)
+    jumps = []
+    for step in steps:
+        least, most = ordered[step == ordered[0]], ordered[-2 if step == ordered[-1] else -1]
+        jumps.append(step > (most if most == least else _UNUSUAL * most))
+    return jumps
 
 
 def _steps(graph: Graph, ids: Sequence[int]) -> list[int]:
