@@ -53,7 +53,8 @@ def run(
     ] = None,
     results: Annotated[Path | None, typer.Option(help="Results folder; default: results/NAME.")] = None,
     executor: Annotated[
-        str, typer.Option(help="Where jobs run: processes, serial, or dask (a cluster; needs the extra dask).")
+        str,
+        typer.Option(help="Where jobs run: processes, serial, or dask (a cluster; needs the extra dask)."),
     ] = "processes",
     scheduler: Annotated[
         str | None,

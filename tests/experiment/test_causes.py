@@ -117,6 +117,7 @@ NAMED: dict[str, tuple[dict[str, Any], str]] = {
     "R of new ones too large": ({"R_new": 4.0}, "R of new landmarks is 4 times"),
     "the map taken as known": ({"map": False}, "taken as known"),
 }
+HIDING = ("no Q", "the map taken as known", "new ones without R")
 
 
 @pytest.mark.parametrize("fault", list(NAMED))
@@ -125,6 +126,8 @@ def test_each_fault_has_its_name(fault: str) -> None:
     told = cause(bench_of(partial(WorldAxes, **faults)))
     assert told.startswith("cause: ")
     assert words in told, told
+    # These alone make a pose's covariance blind to what else is wrong.
+    assert ("may stand beside it" in told) == (fault in HIDING), told
 
 
 @pytest.mark.parametrize(
@@ -133,6 +136,17 @@ def test_each_fault_has_its_name(fault: str) -> None:
 def test_two_faults_at_once_are_given_no_name(faults: dict[str, Any]) -> None:
     told = cause(bench_of(partial(WorldAxes, **faults)))
     assert told.startswith("cause not found: on a stream without errors its covariance first differs"), told
+
+
+@pytest.mark.parametrize(("faults", "words"), [
+    ({"Q": 0.0, "times": 2}, "cause: Q is left out"),
+    ({"map": False, "R_new": 0.0}, "cause: landmarks are taken as known"),
+])  # fmt: skip
+def test_a_fault_that_hides_another_is_named_with_that_doubt(faults: dict[str, Any], words: str) -> None:
+    """Without Q a pose is as well known as at the start, whatever is made of observations."""
+    told = cause(bench_of(partial(WorldAxes, **faults)))
+    assert told.startswith(words), told
+    assert "; another fault may stand beside it and would not show in them, such as: " in told
 
 
 class TurnedMap(WorldAxes):

@@ -170,6 +170,12 @@ FAULTS = {
         "is constructed as Name(problem, **parameters)",
         r"copy an array before writing",
     ),
+    "no odometry noise": (
+        ("self.P[:3, :3] += frame.Q", "self.P[:3, :3] += 0 * frame.Q"),
+        None,
+        "uses its observations",
+        r"dead reckoning's .* m; cause: Q is left out .*another fault may stand beside it",
+    ),
     "pessimistic": (
         ("self.P[:3, :3] += frame.Q", "self.P[:3, :3] += 50 * frame.Q"),
         ("H @ self.P @ H.T + block_diag(*frame.R)", "H @ self.P @ H.T + 50 * block_diag(*frame.R)"),

@@ -19,7 +19,7 @@ P         joint covariance, pose (body tangent) first, then landmarks (world)
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -112,7 +112,9 @@ FAULTS: Mapping[str, _Mistakes] = {
 }
 """One at a time, each with the words that name it."""
 FACTORS: Mapping[str, Callable[[float], _Mistakes]] = {
-    "R is {0:.3g} times what it should be": lambda f: _Mistakes(R_known=_times(f), R_new=_times(f)),
+    "R is {0:.3g} times what it should be, or observations are taken in that much oftener": lambda f: (
+        _Mistakes(R_known=_times(f), R_new=_times(f))
+    ),
     "R of known landmarks is {0:.3g} times what it should be": lambda f: _Mistakes(R_known=_times(f)),
     "R of new landmarks is {0:.3g} times what it should be": lambda f: _Mistakes(R_new=_times(f)),
     "Q is {0:.3g} times what it should be": lambda f: _Mistakes(Q=_times(f)),
@@ -156,7 +158,8 @@ def cause(bench: Bench) -> str:
         fits = [(_fitted(stream, truth, family, claimed), words, family) for words, family in FACTORS.items()]
         found = [words.format(f) for f, words, family in fits if _explains(stream, truth, family(f), claimed)]
     if found:
-        return f"cause: {'; or: '.join(found)} (its covariances on a stream without errors are those)"
+        beside = _beside(stream, truth, FAULTS[found[0]]) if found[0] in FAULTS else ""
+        return f"cause: {'; or: '.join(found)} (its covariances on a stream without errors are those{beside})"
     first = int(np.argmax(off > AGREES))
     seen = {name for frame in stream.frames[:first] for name in frame.ids.tolist()}
     again = sum(name in seen for name in stream.frames[first].ids.tolist())
@@ -189,6 +192,37 @@ def _explains(
     return any(
         _difference(claimed, _kept_claims(stream, truth, mistakes, order)).max() < AGREES for order in ORDERS
     )
+
+
+def _beside(stream: MeasurementStream, truth: GroundTruth, fault: _Mistakes) -> str:
+    """Which other faults this one hides, in words: put in beside it they change no covariance of a pose.
+
+    Without Q, for one, the pose is as well known as at the start, whatever observations say.
+    """
+    own = _kept_claims(stream, truth, fault, ORDERS[0])
+    hidden = [
+        name
+        for name, other in FAULTS.items()
+        if (both := _both(fault, other)) is not None
+        and _difference(_claims(stream, truth, both), own).max() < AGREES
+    ]
+    if not hidden:
+        return ""
+    more = f", and {len(hidden) - 1} more" if len(hidden) > 1 else ""
+    return f"; another fault may stand beside it and would not show in them, such as: {hidden[0]}{more}"
+
+
+def _both(one: _Mistakes, other: _Mistakes) -> _Mistakes | None:
+    """A filter with both faults; None where they are of one and the same thing."""
+    default = _Mistakes()
+    changed = {
+        each.name: getattr(other, each.name)
+        for each in fields(_Mistakes)
+        if getattr(other, each.name) != getattr(default, each.name)
+    }
+    if any(getattr(one, name) != getattr(default, name) for name in changed):
+        return None
+    return replace(one, **changed)
 
 
 def _kept_claims(

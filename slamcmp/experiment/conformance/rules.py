@@ -216,11 +216,16 @@ def check_accuracy(bench: Bench) -> str:
     for name, average in (("mean", np.mean), ("median", np.median)):
         error = float(average([outcome.error_m for outcome in found]))
         guess = float(average([outcome.reckoned_m for outcome in found]))
-        _require(
-            error < share * guess,
-            f"{name} final error over {SEEDS} seeds is {error:.3f} m, dead reckoning's {guess:.3f} m; "
-            "typical causes: a bearing innovation that is not wrapped, a wrong sign in H, landmarks confused",
-        )
+        if not error < share * guess:
+            why = cause(bench)
+            if not why.startswith("cause: "):
+                why = (
+                    "typical causes: a bearing innovation that is not wrapped, a wrong sign in H, landmarks "
+                    "confused"
+                )
+            raise CheckFailedError(
+                f"{name} final error over {SEEDS} seeds is {error:.3f} m, dead reckoning's {guess:.3f} m; {why}"
+            )
     return f"median final error {error:.3f} m, dead reckoning {guess:.3f} m"
 
 
