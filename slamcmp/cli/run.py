@@ -54,7 +54,7 @@ def run(
     results: Annotated[Path | None, typer.Option(help="Results folder; default: results/NAME.")] = None,
     executor: Annotated[
         str,
-        typer.Option(help="Where jobs run: processes, serial, or dask (a cluster; needs the extra dask)."),
+        typer.Option(help="Where jobs run: processes, serial, or dask (a cluster; extra dask)."),
     ] = "processes",
     scheduler: Annotated[
         str | None,

@@ -224,7 +224,8 @@ def check_accuracy(bench: Bench) -> str:
                     "confused"
                 )
             raise CheckFailedError(
-                f"{name} final error over {SEEDS} seeds is {error:.3f} m, dead reckoning's {guess:.3f} m; {why}"
+                f"{name} final error over {SEEDS} seeds is {error:.3f} m, dead reckoning's {guess:.3f} m; "
+                f"{why}"
             )
     return f"median final error {error:.3f} m, dead reckoning {guess:.3f} m"
 
