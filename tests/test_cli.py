@@ -84,6 +84,7 @@ def test_version_and_usage_errors(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
+        (("run", "/"), 3, "'/' is a folder; the experiment file in it is needed"),
         (("run", "quickstrat"), 3, "there is no experiment file 'quickstrat'; did you mean 'quickstart'?"),
         (("run", "bad.yaml"), 2, "bad.yaml:1:1: unknown key 'sorce'; did you mean 'source'?"),
         (("report", "nothing"), 3, "nothing: no results here (manifest.json is missing)"),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from slamcmp.errors import MissingDataError
 from slamcmp.registry import did_you_mean
-from slamcmp.support.files.paths import is_file
+from slamcmp.support.files.paths import is_dir, is_file
 from slamcmp.support.files.shipped_files import shipped_folder
 
 
@@ -29,8 +29,10 @@ def find_experiment(config: str) -> Path:
     if is_file(path):
         return path
     shipped = shipped_experiments()
-    name = path.with_suffix("").as_posix().removeprefix("experiments/")
+    name = path.as_posix().removesuffix(path.suffix).removeprefix("experiments/")
     if name in shipped:
         return shipped[name]
+    if is_dir(path):
+        raise MissingDataError(f"{config!r} is a folder; the experiment file in it is needed")
     hint = did_you_mean(name, shipped) if shipped else ""
     raise MissingDataError(f"there is no experiment file {config!r}{hint}")
