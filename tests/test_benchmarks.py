@@ -81,6 +81,60 @@ def test_what_is_no_longer_measured_is_told(
     assert "well: other: committed, and not measured now" in capsys.readouterr().err
 
 
+def peers() -> Any:
+    sys.path.insert(0, str(SCRIPT.parent))
+    try:
+        return importlib.import_module("peers")
+    finally:
+        sys.path.remove(str(SCRIPT.parent))
+
+
+def test_a_peer_that_is_not_there_is_told_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, bench: Any
+) -> None:
+    module = peers()
+    monkeypatch.setattr(module, "STEPS", {20: 2})
+    monkeypatch.setattr(module.shutil, "which", lambda program: None)
+    monkeypatch.setitem(sys.modules, "filterpy.kalman", None)
+    rows = {row["peer"]: row for row in module.rows_of(tmp_path)}
+    assert rows["filterpy"]["skipped"] == "filterpy is not installed: pip install 'slamcmp[peers]'"
+    assert rows["PythonRobotics"]["skipped"] == f"{tmp_path} holds no SLAM/EKFSLAM/ekf_slam.py"
+    assert "simul-landmarks is not on the PATH" in rows["MRPT"]["skipped"]
+    assert bench.of_peers(list(rows.values())) == []
+
+
+def test_a_checkout_of_pythonrobotics_gets_each_frame(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    module = peers()
+    folder = tmp_path / "SLAM" / "EKFSLAM"
+    folder.mkdir(parents=True)
+    (folder / "ekf_slam.py").write_text(
+        "DT = 0.1\n"
+        "def ekf_slam(x, P, u, z):\n"
+        "    assert x.shape == (43, 1) and P.shape == (43, 43) and z.shape == (10, 3)\n"
+        "    assert abs(DT * u[0, 0] - 0.5) < 1e-9 and abs(DT * u[1, 0] - 0.02) < 1e-9\n"
+        "    print('New LM')\n"
+        "    return x, P\n"
+    )
+    monkeypatch.setattr(module, "STEPS", {20: 2})
+    monkeypatch.setattr(module.shutil, "which", lambda program: None)
+    (row,) = (row for row in module.rows_of(tmp_path) if row["peer"] == "PythonRobotics")
+    assert row["skipped"] is None
+    assert row["ratio"] == pytest.approx(row["ours_us"] / row["peer_us"])
+
+
+def test_a_report_of_mrpt_is_read_whatever_its_units() -> None:
+    total = peers().profiled_total
+    assert total("KF:complete_step       399  28.6us 119.4us   8.2ms  47.7ms\n") == (
+        399,
+        pytest.approx(0.0476406),
+    )
+    assert total("x\nKF:complete_step   7  64.0us   9.5ms  1.3 s   3.8 s\n") == (7, pytest.approx(0.0665))
+    with pytest.raises(peers().Absent, match="no line for KF:complete_step"):
+        total("KF:other 3 1us 2us 3us 4us\n")
+
+
 def test_every_script_is_among_them() -> None:
     """A benchmark that the table leaves out is one that nobody runs."""
     text = SCRIPT.read_text()
