@@ -16,38 +16,27 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
+from slamcmp.registry import figures as registry_figures
 from slamcmp.report.cautions import cautions
 from slamcmp.report.faults import fault_table
 from slamcmp.report.figures.draw import Drawn, each_figure, fault_text, figure_bytes
-from slamcmp.report.live import live_data, live_figures, packed, plotly_script
+from slamcmp.report.live import live_captions, live_data, live_figures, packed, plotly_script
 from slamcmp.report.published import order_rows, value_rows
+from slamcmp.report.tables import Cell, PageTable, cell, cell_rows, page_table, swept_cell, without_empty
 from slamcmp.results.answers.answer import answer
 from slamcmp.results.answers.sweep_matrix import sweep_matrices
-from slamcmp.results.grid import reference_name, swept_columns, value_text
+from slamcmp.results.grid import grid_points, middle_point, point_name, reference_name, swept_columns
 from slamcmp.results.judgements.certainty import certainty_table
 from slamcmp.results.judgements.summary import paired_table, summary_columns, summary_intervals, summary_table
 from slamcmp.results.judgements.unfinished import unfinished_runs
 from slamcmp.results.judgements.verdict import judge
-from slamcmp.results.numbers import interval_text, number_text
+from slamcmp.results.numbers import interval_text
 from slamcmp.results.store import Results
 from slamcmp.results.words import parameters_in_words
 from slamcmp.support.files.atomic import write_atomically
 
 SVG_LIMIT = 300_000
 """Bytes above which a figure goes in as PNG: a long log's SVG makes the page slow."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A table cell: what is read, and what it is sorted by."""
-
-    text: str
-    order: str = ""
-    numeric: bool = False
-    title: str = ""
-    status: str = ""
-    note: str = ""
-    """A smaller line below."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +49,8 @@ class ReportFigure:
     sources: tuple[str, ...]
     """Data URIs: one, or those of its panels."""
     reason: str
-    headers: tuple[str, ...] = ()
-    rows: tuple[list[Cell], ...] = ()
-    """Its numbers as a table, where there is one."""
+    table: PageTable | None = None
+    """Its numbers, where it has them."""
 
 
 def write_report(results: Results, path: Path | str) -> Path:
@@ -89,8 +77,6 @@ def report_html(results: Results) -> str:
     )
     columns = summary_columns(results)
     summary = summary_table(results)
-    paired = paired_table(results)
-    certainty = certainty_table(results)
     faults, more_faults = fault_table(results)
     swept = swept_columns(results.trials)
     words = parameters_in_words(swept)
@@ -100,7 +86,8 @@ def report_html(results: Results) -> str:
     published = [] if verdict is None else [value_rows(verdict), order_rows(verdict)]
     names = manifest.get("config", {}).get("figures")
     shown = [_embed(drawn) for drawn in each_figure(results, names)]
-    alive = [name for name in live_figures(results) if names is None or name in names]
+    live = live_figures(results)
+    alive = [name for name in live if names is None or name in names]
     plotly = plotly_script() if alive else ""
     script = _script(live_data(results, alive), plotly)
     return environment.get_template("report.html.j2").render(
@@ -123,26 +110,32 @@ def report_html(results: Results) -> str:
         alike=_alike(summary),
         groups=_groups([column.group for column in columns]),
         columns=columns,
-        summary_rows=_with_intervals(_rows(summary, swept), list(summary.columns), results),
+        summary_rows=_with_intervals(cell_rows(summary, swept), list(summary.columns), results),
         search=_search_text(manifest),
         verdict=verdict,
-        published=[(list(table.columns), _rows(table, swept)) for table in published if len(table)],
-        certainty_headers=[words.get(name, name) for name in certainty.columns],
-        certainty_rows=_rows(certainty, swept),
-        fault_headers=[words.get(name, name) for name in faults.columns],
-        fault_rows=_rows(faults, swept),
+        published=[page_table(table, swept) for table in published if len(table)],
+        certainty=page_table(certainty_table(results), swept),
+        faults=page_table(faults, swept),
         more_faults=more_faults,
-        paired_headers=[words.get(name, name) for name in paired.columns],
-        paired_rows=_rows(paired, swept),
+        paired=page_table(paired_table(results), swept),
         figures=[figure for figure in shown if figure.sources],
         alive=alive,
+        live_captions=live_captions(live),
+        sparsity_caption=registry_figures.get("sparsity").traits["caption"],
+        middle=_middle(results),
+        recorded="recording" in results.trials,
         skipped=[figure for figure in shown if not figure.sources],
-        trial_headers=_trial_headers(results),
-        trial_rows=_trial_rows(results),
+        trials=without_empty(PageTable(_trial_headers(results), _trial_rows(results))),
         facts=_facts(manifest),
         versions=sorted(manifest.get("versions", {}).items()),
         config=json.dumps(manifest.get("config", {}), indent=2, default=str, ensure_ascii=False),
     )
+
+
+def _middle(results: Results) -> str:
+    """The grid point in the middle of what was swept, in words; empty where nothing was."""
+    swept = len(grid_points(results.trials)) > 1
+    return point_name(middle_point(results)) if swept else ""
 
 
 def _script(live: str, plotly: str) -> str:
@@ -158,32 +151,6 @@ def _script(live: str, plotly: str) -> str:
 def _source_hash(script: str) -> str:
     """As a content security policy names the scripts that may run: no other one can."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
-
-
-def cell(value: Any) -> Cell:
-    """A value as a table shows it: numbers with three significant digits, missing ones as a dash."""
-    if value is None or value is pd.NA or (isinstance(value, float) and np.isnan(value)):
-        return Cell("–", "", True)
-    if isinstance(value, bool | np.bool_ | str):
-        return Cell(str(value), str(value))
-    if isinstance(value, int | np.integer):
-        return Cell(str(value), str(value), True)
-    if isinstance(value, float | np.floating):
-        return Cell(number_text(float(value)), repr(float(value)), True)
-    return Cell(value_text(value), str(value))
-
-
-def swept_cell(value: Any) -> Cell:
-    """A swept value as the configuration has it, not rounded."""
-    known = cell(value)
-    return known if known.text == "–" else replace(known, text=value_text(value))
-
-
-def _rows(table: pd.DataFrame, swept: list[str]) -> list[list[Cell]]:
-    return [
-        [swept_cell(value) if name in swept else cell(value) for name, value in row.items()]
-        for row in table.to_dict("records")
-    ]
 
 
 def _alike(table: pd.DataFrame) -> list[int]:
@@ -241,9 +208,8 @@ def _embed(drawn: Drawn) -> ReportFigure:
     shown = ReportFigure(drawn.name, drawn.title, drawn.caption, sources, drawn.reason)
     if drawn.table is None:
         return shown
-    words = parameters_in_words([name for name in map(str, drawn.table.columns) if "." in name])
-    headers = tuple(words.get(name, name) for name in map(str, drawn.table.columns))
-    return replace(shown, headers=headers, rows=tuple(_rows(drawn.table, [])))
+    swept = [name for name in map(str, drawn.table.columns) if "." in name]
+    return replace(shown, table=page_table(drawn.table, swept))
 
 
 def _data_uri(content: bytes, kind: str) -> str:
@@ -308,7 +274,7 @@ def _facts(manifest: Mapping[str, Any]) -> list[tuple[str, str]]:
         "platform": "Platform",
         "python": "Python",
         "seeds": "Seeds",
-        "front_end_totals": "Front end (detections)",
+        "front_end_totals": "Detections in the front end",
     }
     facts = []
     for key, title in names.items():
@@ -323,7 +289,8 @@ def _fact_text(value: Any) -> str:
     if isinstance(value, Mapping) and "sha" in value:
         return f"{value['sha']}{' with uncommitted changes' if value.get('dirty') else ''}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {each}" for name, each in value.items())
+        # Counts of the front end: what never happened need not be told.
+        return ", ".join(f"{str(name).replace('_', ' ')} {each}" for name, each in value.items() if each)
     if isinstance(value, list):
         return " ".join(str(each) for each in value)
     return f"{value:.1f}" if isinstance(value, float) else str(value)

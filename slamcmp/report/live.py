@@ -26,14 +26,17 @@ from slamcmp.report.figures.drawable import NotDrawable, typical_trial
 from slamcmp.report.figures.runs.consistency import binned_nis
 from slamcmp.report.figures.runs.errors import COMPONENTS
 from slamcmp.report.figures.sweeps.budget import budget_points
+from slamcmp.report.live_sparsity import live_sparsity
 from slamcmp.results.grid import (
     at_point,
     has_values,
     labels,
     middle_point,
+    point_name,
     pose_dimension,
     reference_name,
     rows_of,
+    swept_columns,
 )
 from slamcmp.results.partial import comparable
 from slamcmp.results.store import Results
@@ -48,7 +51,6 @@ STEPS = 150
 """Of the time slider."""
 SIGHTS_MOST = 60
 """Measurements a frame, on average, up to which the map shows them: more would hide it."""
-FIGURES = ("map", "errors", "consistency", "budget", "seeds")
 
 
 def live_figures(results: Results) -> dict[str, Any]:
@@ -62,6 +64,7 @@ def live_figures(results: Results) -> dict[str, Any]:
         "consistency": _consistency,
         "budget": _budget,
         "seeds": _seeds,
+        "sparsity": live_sparsity,
     }
     found = {}
     for name, make in makers.items():
@@ -72,6 +75,26 @@ def live_figures(results: Results) -> dict[str, Any]:
         if made:
             found[name] = made
     return found
+
+
+def live_captions(figures: dict[str, Any]) -> dict[str, str]:
+    """What the static figure's caption cannot say of the interactive one, by its name."""
+    captions = {
+        "errors": "Solid: online; dashed: final; dotted: ±3σ. A click on a name in the legend hides it.",
+        "consistency": "A click on a name in the legend hides it.",
+        "sparsity": (
+            "The first slider moves the time, the second takes one variable after the other out of the "
+            "matrix; framed is what is left to eliminate."
+        ),
+    }
+    runs = figures.get("map", {}).get("runs", [])
+    parts = ["The slider moves the time"]
+    if any("P" in run["steps"] for run in runs):
+        parts.append(": the ellipse is what the back end believed then")
+    if any("sights" in run["steps"] for run in runs):
+        parts.append("; crosses stand where it would have placed what was measured at that moment")
+    captions["map"] = f"{''.join(parts)}."
+    return {name: text for name, text in captions.items() if name in figures}
 
 
 def live_data(results: Results, names: list[str]) -> str:
@@ -255,15 +278,26 @@ def _budget(results: Results) -> dict[str, Any] | None:
             shared = {"colour": index, "name": label}
             x, y = own["ms"].to_numpy(float), own["error_m"].to_numpy(float)
             traces.append({"x": _numbers(x), "y": _numbers(y), "marks": 5, **shared})
-            middle = [_numbers([np.median(each)]) for each in (x, y)]
-            traces.append({"x": middle[0], "y": middle[1], "marks": 14, **shared})
-        front = pareto_front(table.groupby("label")[["ms", "error_m"]].median())
+            traces.append({**_medians(own), "marks": 12, **shared})
+        here = at_point(table, middle_point(results))
+        front = pareto_front(here.groupby("label")[["ms", "error_m"]].median())
         if len(front) > 1:
-            traces.append(
-                {"x": _numbers(front["ms"]), "y": _numbers(front["error_m"]), "name": "Pareto front"}
-            )
+            where = point_name(middle_point(results))
+            name = f"Pareto front: nobody is faster and better{f' ({where})' if where else ''}"
+            traces.append({"x": _numbers(front["ms"]), "y": _numbers(front["error_m"]), "name": name})
         panels.append({"y": f"{which} ATE [m]", "log": True, "traces": traces})
     return {"kind": "stack", "x": "ms per frame", "logx": True, "panels": panels} if panels else None
+
+
+def _medians(own: pd.DataFrame) -> dict[str, Any]:
+    """The median of each grid point, joined, and how far its quartiles are away."""
+    points = own.groupby(swept_columns(own) or "label", sort=False, dropna=False)[["ms", "error_m"]]
+    low, middle, high = (points.quantile(share).to_numpy(float) for share in (0.25, 0.5, 0.75))
+    return {
+        "x": _numbers(middle[:, 0]),
+        "y": _numbers(middle[:, 1]),
+        "bars": [[_numbers((high - middle)[:, axis]), _numbers((middle - low)[:, axis])] for axis in (0, 1)],
+    }
 
 
 def pareto_front(points: pd.DataFrame) -> pd.DataFrame:
@@ -287,4 +321,5 @@ def _seeds(results: Results) -> dict[str, Any] | None:
         rows = [_numbers(row) for row in values[known].to_numpy(float)]
         panels.append({"y": f"{which} ATE [m]", "labels": known, "colours": order, "rows": rows})
     many = any(len(panel["rows"]) > 1 for panel in panels)
-    return {"kind": "seeds", "panels": panels} if many else None
+    shown = [each for each in labels(results) if any(each in panel["labels"] for panel in panels)]
+    return {"kind": "seeds", "order": shown, "panels": panels} if many else None

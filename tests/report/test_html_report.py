@@ -16,9 +16,12 @@ from scipy.stats import binomtest
 from slamcmp.cli.run import _print_results
 from slamcmp.report import summary_table, write_report
 from slamcmp.report.cautions import cautions, distance_in_sigmas
-from slamcmp.report.html import _search_text, number_text, report_html
+from slamcmp.report.figures.draw import each_figure
+from slamcmp.report.html import _search_text, report_html
+from slamcmp.report.tables import page_table
 from slamcmp.results.judgements.certainty import certainty_table, last_frame_nees, worst_run
 from slamcmp.results.judgements.summary import paired_table, terminal_table
+from slamcmp.results.numbers import number_text
 
 
 class Page(HTMLParser):
@@ -241,6 +244,31 @@ def test_page_shows_intervals_the_search_and_the_faults(swept):
     own = swept.trials[(swept.trials["label"] == "ekf") & (swept.trials["source.range_sigma_m"] == 0.5)]
     low, high = number_text(own["online_ate"].min()), number_text(own["online_ate"].max())
     assert f'<span class="note">{low} to {high}</span>' in text
+
+
+def test_columns_with_nothing_in_them_are_left_out_and_only_failures_are_bad():
+    table = pd.DataFrame(
+        {"source.a_m": [1.0, 2.0], "failed": ["0 of 6", "1 of 6"], "empty": ["", ""], "none": [math.nan] * 2}
+    )
+    found = page_table(table, ["source.a_m"])
+    assert found.headers == ["a [m]", "failed"]
+    assert [[each.text for each in row] for row in found.rows] == [["1", "0 of 6"], ["2", "1 of 6"]]
+    assert [row[1].status for row in found.rows] == ["", "bad"]
+    assert not found.folded
+    assert page_table(pd.concat([table] * 10), []).folded
+
+
+def test_captions_say_what_is_drawn(swept, recorded, one_trial):
+    def captions(results):
+        return {each.name: each.caption for each in each_figure(results, ["errors", "consistency", "map"])}
+
+    assert "truth minus estimate" in captions(swept)["errors"]
+    assert "of one typical trial, trial " in captions(swept)["map"]
+    assert "typical" not in captions(one_trial)["map"]
+    told = captions(recorded)
+    assert "Difference of each pose from that of batch (final)" in told["errors"]
+    assert "truth minus" not in told["errors"]
+    assert "NEES: squared pose error" not in told["consistency"]
 
 
 def test_cautions_tell_whose_online_column_it_is_and_how_times_were_measured(one_trial):

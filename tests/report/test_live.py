@@ -20,8 +20,17 @@ import slamcmp
 from slamcmp.geometry import se2
 from slamcmp.report import write_report
 from slamcmp.report.figures.drawable import typical_trial
+from slamcmp.report.figures.runs.sparsity import (
+    filled_pattern,
+    marginal_pattern,
+    minimum_degree,
+    pattern,
+    shared_measurements,
+    shown_frames,
+)
 from slamcmp.report.html import report_html
 from slamcmp.report.live import DARK, LIGHT, kept_indices, live_data, live_figures, pareto_front
+from slamcmp.report.live_sparsity import fill_steps
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 PAGE_LIMIT = 8_000_000
@@ -73,7 +82,14 @@ def test_the_front_is_what_nobody_beats():
 
 def test_data_holds_the_tables_numbers(swept):
     figures = live_figures(swept)
+    # There is no stream: no sparsity.
     assert set(figures) == {"map", "errors", "consistency", "budget", "seeds"}
+    for which, panel in zip(("online", "final"), figures["budget"]["panels"], strict=True):
+        ok = swept.trials[(swept.trials["status"] == "ok") & (swept.trials["label"] == "isam2")]
+        (medians,) = [t for t in panel["traces"] if t["name"] == "isam2" and "bars" in t]
+        by_point = ok.groupby("source.range_sigma_m")[f"{which}_ate"].median()
+        assert medians["y"] == pytest.approx(list(by_point), rel=1e-4)
+    assert figures["seeds"]["order"] == ["ekf", "isam2", "batch"]
     (online, final) = figures["seeds"]["panels"]
     here = swept.trials[(swept.trials["source.range_sigma_m"] == 1.0) & (swept.trials["status"] == "ok")]
     expected = here.pivot(index="trial", columns="label", values="online_ate")[online["labels"]]
@@ -225,6 +241,7 @@ def test_without_streams_the_map_is_drawn_all_the_same(driven, tmp_path):
 def test_in_a_browser_measurements_follow_the_slider_on_phone_and_desktop(driven, tmp_path, width, theme):
     page = write_report(driven, tmp_path / "report.html")
     trace = "document.querySelector('[data-figure=map]').data.find(t => t.name === 'measured now')"
+    matrices = "document.querySelector('[data-figure=sparsity]').data.slice(0, 3).map(t => t.z)"
     slide = (
         "(async () => {const s = document.querySelector('.player input'); s.value = 7; "
         "s.dispatchEvent(new Event('input')); await new Promise(r => setTimeout(r, 300));})()"
@@ -241,8 +258,12 @@ def test_in_a_browser_measurements_follow_the_slider_on_phone_and_desktop(driven
         "[...document.querySelectorAll('.live')].every(box => {const legend = box.querySelector('.legend');"
         " return !legend || [...box.querySelectorAll('[class*=xtitle]')].every(title =>"
         " title.getBoundingClientRect().bottom <= legend.getBoundingClientRect().top + 1);})",
+        matrices,
+        "(async () => {const s = document.querySelector('p[aria-label=eliminations] input'); s.value = 6; "
+        "s.dispatchEvent(new Event('input')); await new Promise(r => setTimeout(r, 300));})()",
+        matrices,
     ]
-    (inner, _, (xs, ys), fits, back, inside, narrowest, apart), said = asyncio.run(
+    (inner, _, (xs, ys), fits, back, inside, narrowest, apart, all_done, _, six), said = asyncio.run(
         browse(page, tmp_path / "profile", steps, width, theme)
     )
     assert said == []
@@ -262,3 +283,14 @@ def test_in_a_browser_measurements_follow_the_slider_on_phone_and_desktop(driven
     # A ray each: from the robot to the point, and a gap.
     assert np.column_stack([xs[1::3], ys[1::3]]) == pytest.approx(expected, abs=5e-3)
     assert xs[2::3] == [None] * len(expected)
+    typical = slamcmp.make_stream("circle", int(own["seed"].iloc[0]), landmarks=8, steps=40)
+    count = shown_frames(typical)
+    graph = shared_measurements(typical, count)
+    order = minimum_degree(graph, last=count - 1)
+    kept = [count - 1, *range(count, len(graph))]
+    information, factor, left = map(np.array, all_done)
+    assert (information == pattern(graph, range(len(graph)))).all()
+    assert (factor == np.tril(filled_pattern(graph, order))).all()
+    assert (left == marginal_pattern(graph, kept)).all()
+    early = [(i, j) for i, j, step in fill_steps(graph, order) if step <= 6]
+    assert (np.array(six[1]) == 2).sum() == len(early) < (factor == 2).sum()

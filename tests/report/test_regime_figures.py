@@ -148,7 +148,7 @@ def test_nobody_beats_who_is_on_the_frontier() -> None:
 
 def test_other_sweeps_are_told_why_there_is_no_map(results: Results) -> None:
     one = replace(results, trials=results.trials[results.trials["source.in_view"] == 2.0])
-    with pytest.raises(NotDrawable, match="1 paths were swept, and a map needs two or three"):
+    with pytest.raises(NotDrawable, match="a map needs two or three swept parameters, and one was"):
         cells(one)
     names = ("regimes", "honesty", "gain", "frontier")
     assert all("a map needs two or three" in drawn.reason for drawn in each_figure(one, names))

@@ -18,6 +18,7 @@ from slamcmp.report.figures.runs.sparsity import (
     shared_measurements,
     shown_frames,
 )
+from slamcmp.report.live_sparsity import fill_steps
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +83,24 @@ def test_what_a_filter_keeps_is_the_schur_complement(stream):
     # All that was ever seen hangs together by the poses that are gone.
     assert (marks > 0).all()
     assert (marks == 2).any()
+
+
+@pytest.mark.parametrize("natural", [True, False])
+def test_each_elimination_fills_what_it_fills_in_numbers(stream, natural):
+    graph = shared_measurements(stream, 14)
+    order = list(graph) if natural else minimum_degree(graph, last=13)
+    fill = fill_steps(graph, order)
+    left = random_information(graph)[np.ix_(order, order)]
+    place = {node: i for i, node in enumerate(order)}
+    for step in range(1, len(order) + 1):
+        before = left != 0.0
+        column = left[:, step - 1].copy()
+        left = left - np.outer(column, column) / column[step - 1]
+        left[step - 1], left[:, step - 1] = 0.0, 0.0
+        new = {tuple(sorted(pair)) for pair in zip(*np.nonzero((left != 0.0) & ~before), strict=True)}
+        told = {tuple(sorted((place[i], place[j]))) for i, j, at in fill if at == step}
+        assert told == new
+    assert 2 * len(fill) == (filled_pattern(graph, order) == 2).sum()
 
 
 def test_a_chain_and_a_star_by_hand():

@@ -233,6 +233,31 @@ def test_a_parameter_that_only_one_back_end_has_repeats_nobody_elses_row():
     assert answer(results).lines[1].endswith("worse at 1, no difference told at 5 and 20.")
 
 
+def test_those_that_never_differ_are_told_together():
+    rows = []
+    for point, width in enumerate([0.5, 1.0, 2.0]):
+        for label, factor in (("A", 1.0), ("B", 1.001), ("C", 0.999), ("D", 0.8)):
+            errors = BASE if label == "A" else scaled(factor, 0.06)
+            rows += [
+                {**row, "source.turn_sigma_deg_s": width, "trial": 20 * point + row["seed"]}
+                for row in online_only(label, errors)
+            ]
+    assert answer(results_of(rows)).text == (
+        "Online, over turn sigma (0.5 to 2°/s): D is better than A at 3 of 3 values, "
+        "B and C show no difference from A at any of 3 values."
+    )
+
+
+def test_of_many_only_the_first_and_the_ends_are_named():
+    rows = [row for i, label in enumerate("ABCDEFG") for row in online_only(label, [0.5 - 0.05 * i])]
+    assert answer(results_of(rows)).text.endswith(
+        "On this one: online ATE A 0.500, of all 7 from 0.200 (G) to 0.500 (A) m."
+    )
+    blind = [{**row, "reference": "batch (final)"} for row in rows[:2]]
+    assert "On this one, measured against batch (final),: online" not in answer(results_of(blind)).text
+    assert "On this one, measured against batch (final): online ATE A" in answer(results_of(blind)).text
+
+
 def test_two_parameters_are_named():
     rows = []
     for point, (noise, steps) in enumerate([(1.0, 10), (1.0, 20), (2.0, 10), (2.0, 20)]):

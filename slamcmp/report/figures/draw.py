@@ -133,6 +133,7 @@ def each_figure(results: Results, names: Sequence[str] | None = None, look: Look
             try:
                 if results.trials.empty:
                     raise NotDrawable("no trial has a run of every back end")
+                caption = plugin.traits.get("caption_of", lambda _, said=caption: said)(results)
                 figure = plugin.target(results)
                 if plugin.name in OVER_TRIALS:
                     _say(figure, _trials_text(results, figure))

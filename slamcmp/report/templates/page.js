@@ -20,7 +20,7 @@ for (const button of document.querySelectorAll("button[data-only]")) {
   show(true);
 }
 addEventListener("beforeprint", () => {
-  for (const box of document.querySelectorAll("details.caution")) box.open = true;
+  for (const box of document.querySelectorAll("details")) box.open = true;
 });
 for (const table of document.querySelectorAll("table.sortable")) {
   const heads = [...table.tHead.rows[0].cells];

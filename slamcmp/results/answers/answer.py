@@ -35,6 +35,7 @@ from slamcmp.results.grid import (
     has_values,
     labels,
     milliseconds_per_frame,
+    reference_name,
     swept_columns,
     value_text,
 )
@@ -45,6 +46,8 @@ from slamcmp.results.store import Results
 
 NEAR_HALF = (0.45, 0.55)
 """A ratio that halves an error …"""
+LISTED = 6
+"""Back ends up to which the numbers of each are named where nothing can be compared."""
 SURE_HALF = (0.4, 0.6)
 """… where its interval lies in here."""
 
@@ -125,10 +128,21 @@ def _too_few(results: Results, ok: pd.DataFrame, kinds: list[str], most: int) ->
             own = own[~own["label"].isin(warm_started(results))]
         medians = own.groupby("label", sort=False)[f"{which}_ate"].median()
         if len(medians):
-            listing = ", ".join(f"{label} {number_text(value)}" for label, value in medians.items())
-            parts.append(f"{'' if most == 1 else 'median '}{which} ATE {listing} m")
-    where = "On this one" if most == 1 else "Here"
+            parts.append(f"{'' if most == 1 else 'median '}{which} ATE {_listing(medians)} m")
+    reference = reference_name(results)
+    against = "" if reference in ("truth", "none") else f", measured against {reference}"
+    where = f"{'On this one' if most == 1 else 'Here'}{against}"
     return f"{first}. {where}: {'; '.join(parts)}." if parts else f"{first}."
+
+
+def _listing(medians: pd.Series[float]) -> str:
+    """``EKF 0.31, iSAM2 0.28``; of many the first one, the best and the worst."""
+    if len(medians) <= LISTED:
+        return ", ".join(f"{label} {number_text(value)}" for label, value in medians.items())
+    first, *_ = ordered = [(str(label), float(value)) for label, value in medians.items()]
+    best, *_, worst = sorted(ordered, key=lambda each: each[1])
+    ends = " to ".join(f"{number_text(value)} ({label})" for label, value in (best, worst))
+    return f"{first[0]} {number_text(first[1])}, of all {len(medians)} from {ends}"
 
 
 def _alone(results: Results, ok: pd.DataFrame, which: str) -> str:
@@ -255,7 +269,8 @@ def _shares(online: pd.Series[float], final: pd.DataFrame, best: str, others: li
         else:
             parts.append(f"{label} gets nothing of that")
     if alike:
-        parts.insert(0, f"{listed(alike)} {'does' if len(alike) == 1 else 'do'} no worse that the runs show")
+        does = "does" if len(alike) == 1 else "do"
+        parts.insert(0, f"{listed(alike)} {does} as well as far as the runs can tell")
     return f", and {listed(parts)}" if parts else ""
 
 

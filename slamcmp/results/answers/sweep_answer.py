@@ -9,7 +9,7 @@ from slamcmp.results.answers.against import SPELT, Against, by_label, comparison
 from slamcmp.results.answers.phrases import capital, change_text, listed, tie_text
 from slamcmp.results.grid import labels, swept_columns, value_text
 from slamcmp.results.store import Results
-from slamcmp.results.words import parameters_in_words
+from slamcmp.results.words import parameters_in_words, setting_in_words
 
 SPELT_POINTS = 6
 """Swept values up to which each is named."""
@@ -24,7 +24,10 @@ def over_the_sweep(results: Results, kinds: list[str]) -> str:
     if not found:
         return "No two back ends have errors that can be compared: nothing can be said about which is better."
     when = "online" if which == "online" else "with hindsight"
-    parts = [_counted(own) for _, own in by_label(found)]
+    groups = [own for _, own in by_label(found)]
+    alike = [own for own in groups if all(each.verdict == "tie" for each in own)]
+    parts = [_counted(own) for own in groups if own not in alike]
+    parts += _ties(alike)
     text = f"{when}, over {_swept_text(results)}: {', '.join(parts)}"
     return f"{capital(text, labels(results))}."
 
@@ -40,6 +43,17 @@ def sweep_lines(results: Results, kinds: list[str]) -> Iterator[str]:
                 parts.append(f"{which}, against {own[0].other}: {_over_values(results, own)}")
         if parts:
             yield f"{label}: {'; '.join(parts)}."
+
+
+def _ties(alike: list[list[Against]]) -> list[str]:
+    """``RTS and iSAM2 show no difference from EKF at any of 9 values``, for those with as many values."""
+    parts = []
+    for count in dict.fromkeys(len(own) for own in alike):
+        own = [each for each in alike if len(each) == count]
+        names, verb = listed([each[0].label for each in own]), "shows" if len(own) == 1 else "show"
+        where = f"at any of {count} values" if count > 1 else "at the one value"
+        parts.append(f"{names} {verb} no difference from {own[0][0].other} {where}")
+    return parts
 
 
 def _counted(own: list[Against]) -> str:
@@ -117,5 +131,7 @@ def _swept_text(results: Results) -> str:
             continue
         shown = [value_text(value) for value in values]
         text = f"{shown[0]} to {shown[-1]}" if len(shown) > 2 else listed(shown)
-        parts.append(f"{words[path]} ({text})")
+        # The unit after the values, as in any sentence.
+        name, _, value = setting_in_words(words[path], text).partition(" = ")
+        parts.append(f"{name} ({value})")
     return listed(parts)

@@ -19,17 +19,34 @@ from slamcmp.results.store import Results
 NIS_BINS = 80
 
 
+NEES = (
+    "NEES: squared pose error over the claimed covariance, averaged over the runs of one grid point, "
+    "frame by frame (logarithmic). Above the band the back end is overconfident, below it too cautious."
+)
+NIS = (
+    "NIS: squared innovations over what the back end expected, summed over neighbouring frames and divided "
+    "by the degrees of freedom."
+)
+BANDS = (
+    "The grey bands hold 95 % of a consistent estimator's values. A healthy NIS does not prove a healthy "
+    "NEES. Runs that failed are left out and lower N."
+)
+
+
+def _caption(results: Results) -> str:
+    """Of what is there: a log without truth has no NEES, smoothers have no NIS."""
+    frames = results.frames
+    has_nees = any(has_values(frames, [f"{which}_nees"]) for which in ("online", "final"))
+    parts = [NEES] * has_nees + [NIS] * has_values(frames, ["nis", "nis_dof"])
+    return " ".join([*parts, BANDS])
+
+
 @figures.register(
     "consistency",
     title="Consistency",
     needs=("frames: online_nees or nis",),
-    caption=(
-        "NEES: squared pose error over the claimed covariance, averaged over the runs of one grid point, "
-        "frame by frame (logarithmic). Above the band the back end is overconfident, below it too cautious. "
-        "NIS: squared innovations over what the back end expected, summed over neighbouring frames and "
-        "divided by the degrees of freedom. The grey bands hold 95 % of a consistent estimator's values. A "
-        "healthy NIS does not prove a healthy NEES. Runs that failed are left out and lower N."
-    ),
+    caption=f"{NEES} {NIS} {BANDS}",
+    caption_of=_caption,
 )
 def plot_consistency(results: Results) -> Figure:
     """Average NEES (online, final) and binned NIS over time with 95 % χ² bands."""

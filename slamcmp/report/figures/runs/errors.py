@@ -23,15 +23,31 @@ COMPONENTS = {
 BAND_POINTS = 800
 
 
+CAPTION = (
+    "Error of each pose in its own body axes (truth minus estimate) over the same trial as the map, "
+    "with the ±3σ band that the back end claims. A consistent back end leaves its band in about one "
+    "frame of 370. Every panel has its own vertical scale: judge the line by its band."
+)
+
+
+def _caption(results: Results) -> str:
+    reference = reference_name(results)
+    if reference in ("truth", "none"):
+        return CAPTION
+    return (
+        f"Difference of each pose from that of {reference}, which stands in for the truth, in the pose's own "
+        "body axes over the same trial as the map, with the ±3σ band that the back end claims. The "
+        "reference has errors of its own: a line outside its band is a question, not a proof. Every panel "
+        "has its own vertical scale."
+    )
+
+
 @figures.register(
     "errors",
     title="Errors over time",
     needs=("frames: online_err_*",),
-    caption=(
-        "Error of each pose in its own body axes (truth minus estimate) over the same trial as the map, "
-        "with the ±3σ band that the back end claims. A consistent back end leaves its band in about one "
-        "frame of 370. Every panel has its own vertical scale: judge the line by its band."
-    ),
+    caption=CAPTION,
+    caption_of=_caption,
 )
 def plot_errors(results: Results) -> Figure:
     """Pose errors with ±3σ of one typical trial: a column per back end, a row per component."""

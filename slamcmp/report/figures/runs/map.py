@@ -25,15 +25,28 @@ CROWD = 200
 """Landmarks, from which on their ellipses are drawn faint: a camera's long ones hide all else."""
 
 
+LINES = (
+    "Dashed: online, what the robot knew when it was there; solid: final, with hindsight. Ellipses hold the "
+    "position with 95 % if the covariance is right (to scale). Estimates far outside the reference are cut "
+    "off."
+)
+
+
+def _caption(results: Results) -> str:
+    if results.trials["trial"].nunique() == 1:
+        return f"Trajectories and landmarks. {LINES}"
+    trial = trial_name(results, typical_trial(results))
+    return (
+        f"Trajectories and landmarks of one typical trial, {trial}: its online error is the median. {LINES}"
+    )
+
+
 @figures.register(
     "map",
     title="Map",
     needs=("frames: online_x, online_y",),
-    caption=(
-        "Trajectories and landmarks of one typical trial (median online error). Dashed: online, what the "
-        "robot knew when it was there; solid: final, with hindsight. Ellipses hold the position with 95 % "
-        "if the covariance is right (to scale). Estimates far outside the reference are cut off."
-    ),
+    caption=f"Trajectories and landmarks of one typical trial (median online error). {LINES}",
+    caption_of=_caption,
 )
 def plot_map(results: Results) -> Figure:
     """Trajectories, landmarks and 95 % ellipses of one typical trial, a panel per back end."""

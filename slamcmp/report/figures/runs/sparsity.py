@@ -41,21 +41,17 @@ _NONZERO, _FILL = 1, 2
     needs=("the stream of the typical trial",),
     on_request=True,
     caption=(
-        "Blocks of the typical trial at three moments, poses first and landmarks by their first sighting. "
-        "Top: the information matrix of a smoother, which has a block where two variables share a "
-        "measurement. Middle: its Cholesky factor, eliminated by minimum degree with the newest pose last, "
-        "as an incremental smoother does; orange is fill-in. Bottom: what a filter keeps, the newest pose "
-        "and the landmarks, after every past pose was marginalised; orange are the blocks that this filled."
+        "Blocks of the typical trial as time goes on, poses first and landmarks by their first sighting. "
+        "First the information matrix of a smoother, which has a block where two variables share a "
+        "measurement; then its Cholesky factor, eliminated by minimum degree with the newest pose last, as "
+        "an incremental smoother does; last what a filter keeps, the newest pose and the landmarks, after "
+        "every past pose was marginalised. Orange is fill-in: blocks that no measurement made."
     ),
 )
 def plot_sparsity(results: Results) -> Figure:
     """Information matrix, factor and marginal of a filter at three moments of the typical trial."""
     trial = typical_trial(results)
-    digest = str(results.trials.loc[results.trials["trial"] == trial, "digest"].iloc[0])
-    try:
-        stream = load_stream(results.folder / "streams" / f"{digest}.npz")
-    except SlamcmpError as error:
-        raise NotDrawable(f"the stream is not there any more: {error}") from error
+    stream = stream_of(results, trial)
     frames = shown_frames(stream)
     moments = sorted({max(2, round(share * frames)) for share in SHARES})
     title = f"What is kept, and what it fills: {trial_name(results, trial)}"
@@ -79,6 +75,19 @@ def plot_sparsity(results: Results) -> Figure:
     ]
     style.legend_below(figure, keys)
     return figure
+
+
+def stream_of(results: Results, trial: int) -> MeasurementStream:
+    """What all back ends were given in this trial.
+
+    Raises:
+        NotDrawable: the file is gone.
+    """
+    digest = str(results.trials.loc[results.trials["trial"] == trial, "digest"].iloc[0])
+    try:
+        return load_stream(results.folder / "streams" / f"{digest}.npz")
+    except SlamcmpError as error:
+        raise NotDrawable(f"the stream is not there any more: {error}") from error
 
 
 def shown_frames(stream: MeasurementStream) -> int:
@@ -123,7 +132,7 @@ def minimum_degree(graph: Graph, last: int) -> list[int]:
     while len(left) > 1:
         node = min((each for each in left if each != last), key=lambda each: (len(left[each]), each))
         order.append(node)
-        _eliminate(left, node)
+        eliminate(left, node)
     return [*order, last]
 
 
@@ -134,16 +143,21 @@ def filled_pattern(graph: Graph, order: Sequence[int]) -> NDArray[np.int8]:
     for node in order:
         for neighbour in left[node]:
             _join(filled, node, neighbour)
-        _eliminate(left, node)
+        eliminate(left, node)
     return _marked(graph, filled, order)
 
 
 def marginal_pattern(graph: Graph, kept: Sequence[int]) -> NDArray[np.int8]:
     """The blocks of what is left when all other variables are marginalised: 1 as measured, 2 filled."""
+    return _marked(graph, marginalised(graph, kept), kept)
+
+
+def marginalised(graph: Graph, kept: Sequence[int]) -> Graph:
+    """Who shares something with whom when all other variables are marginalised."""
     left = {node: set(neighbours) for node, neighbours in graph.items()}
     for node in sorted(set(graph) - set(kept)):
-        _eliminate(left, node)
-    return _marked(graph, left, kept)
+        eliminate(left, node)
+    return left
 
 
 def pattern(graph: Graph, order: Iterable[int]) -> NDArray[np.int8]:
@@ -175,7 +189,7 @@ def _join(graph: Graph, one: int, other: int) -> None:
         graph[other].add(one)
 
 
-def _eliminate(left: Graph, node: int) -> None:
+def eliminate(left: Graph, node: int) -> None:
     """Take a variable out; its neighbours then share what it knew."""
     neighbours = left.pop(node)
     for each in neighbours:

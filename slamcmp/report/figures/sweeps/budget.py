@@ -10,21 +10,37 @@ from matplotlib.figure import Figure
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
 from slamcmp.report.figures.drawable import NotDrawable
-from slamcmp.results.grid import has_values, labels, milliseconds_per_frame, reference_name, swept_columns
+from slamcmp.results.grid import (
+    grid_points,
+    has_values,
+    labels,
+    milliseconds_per_frame,
+    reference_name,
+    swept_columns,
+)
 from slamcmp.results.store import Results
 from slamcmp.results.words import parameters_in_words
+
+MARKS = "Each small mark is a run, each large one the median {of}with the quartiles over its runs"
+REST = (
+    "Lower and further left is better. Online and final are apart: a causal answer is not to be measured "
+    "against hindsight. Online pays for updates and estimates, final for updates and the last full solution. "
+    "Failed runs are not in the medians."
+)
+
+
+def _caption(results: Results) -> str:
+    if len(grid_points(results.trials)) == 1:
+        return f"{MARKS.format(of='')}. {REST}"
+    return f"{MARKS.format(of='of a grid point ')}; the points of a sweep are joined. {REST}"
 
 
 @figures.register(
     "budget",
     title="Accuracy against time",
     needs=("trials: online_ate or final_ate", "trials: update_s, estimate_s, final_s"),
-    caption=(
-        "Each small mark is a run, each large one the median of a grid point with the quartiles over its "
-        "runs; the points of a sweep are joined. Lower and further left is better. Online and final are "
-        "apart: a causal answer is not to be measured against hindsight. Online pays for updates and "
-        "estimates, final for updates and the last full solution. Failed runs are not in the medians."
-    ),
+    caption=f"{MARKS.format(of='of a grid point ')}; the points of a sweep are joined. {REST}",
+    caption_of=_caption,
 )
 def plot_budget(results: Results) -> Figure:
     """ATE against time per frame, online and final in panels of their own."""

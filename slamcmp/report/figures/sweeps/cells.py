@@ -50,7 +50,8 @@ def cells(results: Results) -> Cells:
     trials = results.trials
     paths = [path for path in swept_columns(trials) if trials[path].nunique(dropna=False) > 1]
     if len(paths) not in (2, 3):
-        raise NotDrawable(f"{len(paths)} paths were swept, and a map needs two or three")
+        here = {0: "none was", 1: "one was"}.get(len(paths), f"{len(paths)} were")
+        raise NotDrawable(f"a map needs two or three swept parameters, and {here}")
     values = {path: tuple(trials[path].drop_duplicates()) for path in paths}
     panel = paths[0] if len(paths) == 3 else None
     down, across = paths[-2:]

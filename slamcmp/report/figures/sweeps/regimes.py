@@ -55,9 +55,9 @@ def regime_table(results: Results) -> pd.DataFrame:
     needs=("trials: two or three swept paths", "trials: online_ate"),
     caption=(
         "In each cell the cheapest back end that is within 5 % of the best online error (its whole 95 % "
-        "interval, on paired runs) and consistent by its NEES. Pale: a cheaper one might be within as well, "
-        "or nobody is known to be; more runs would tell. White: nobody is within 5 % and consistent; the "
-        "name in brackets has the lowest error."
+        "interval, on paired runs) and consistent by its NEES. Pale: more runs would tell; a name with a "
+        "question mark would be it, but a cheaper one might be within as well. White: nobody is within 5 % "
+        "and consistent. A name in brackets has the lowest error, and no more is known of it."
     ),
     table=regime_table,
 )
@@ -98,7 +98,7 @@ def honesty_table(results: Results) -> pd.DataFrame:
                     "back end": each.label,
                     **point,
                     "online": each.consistency.verdict,
-                    "by": each.consistency.text,
+                    "judged by": each.consistency.text,
                     "failed": f"{len(each.failures)} of {each.runs}",
                 }
             )
