@@ -43,7 +43,8 @@ def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
 
     Raises:
         MissingDataError: there is no such file.
-        UnusableImageError: not an image, truncated, not 8 bits a channel, or of another size.
+        UnusableImageError: not an image, truncated, too small for features, not 8 bits a channel, or of
+            another size.
     """
     import cv2
 
@@ -62,7 +63,7 @@ def read_image(path: Path | str, *, size: Size | None = None) -> GrayImage:
         else:
             image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY if channels == 4 else cv2.COLOR_BGR2GRAY)
     grey = np.ascontiguousarray(image, dtype=np.uint8)
-    problem = _shape_problem(grey, size)
+    problem = _shape_problem(grey, size) or _too_small(grey)
     if problem:
         raise UnusableImageError(path, problem)
     return grey
@@ -137,8 +138,9 @@ def image_problem(image: object, *, size: Size | None = None) -> str:
     problem = _shape_problem(image, size)
     if problem:
         return problem
-    if min(image.shape) < SIDE_MIN_PX:
-        return f"{image.shape[1]}×{image.shape[0]} pixels where at least {SIDE_MIN_PX} a side are needed"
+    problem = _too_small(image)
+    if problem:
+        return problem
     import cv2
 
     # A fifth of the time that numpy takes, which converts every pixel to a float first.
@@ -188,6 +190,13 @@ def _shape_problem(image: NDArray[Any], size: Size | None) -> str:
     if size is not None and (width, height) != size:
         return f"{width}×{height} pixels where {size[0]}×{size[1]} are needed"
     return ""
+
+
+def _too_small(image: NDArray[Any]) -> str:
+    height, width = image.shape
+    if min(height, width) >= SIDE_MIN_PX:
+        return ""
+    return f"{width}×{height} pixels where at least {SIDE_MIN_PX} a side are needed"
 
 
 def _is_truncated(data: bytes) -> bool:

@@ -26,12 +26,12 @@ def test_grey_values_survive_a_file(tmp_path: Path) -> None:
 
 
 def test_colour_becomes_grey_with_the_usual_weights(tmp_path: Path) -> None:
-    blue_green_red = np.zeros((20, 30, 3), dtype=np.uint8)
+    blue_green_red = np.zeros((50, 60, 3), dtype=np.uint8)
     blue_green_red[:] = 40, 120, 200
     grey = read_image(_write(tmp_path / "colour.png", blue_green_red))
     # ITU-R 601: 0.114 · 40 + 0.587 · 120 + 0.299 · 200 = 134.8.
     assert (grey == 135).all()
-    with_alpha = np.dstack([blue_green_red, np.full((20, 30), 77, np.uint8)])
+    with_alpha = np.dstack([blue_green_red, np.full((50, 60), 77, np.uint8)])
     assert (read_image(_write(tmp_path / "alpha.png", with_alpha)) == 135).all()
 
 

@@ -92,6 +92,11 @@ def test_images_too_small_or_too_large_are_named(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     assert "40×60 pixels where at least 47" in image_problem(rng.integers(0, 256, (60, 40), dtype=np.uint8))
     assert image_problem(rng.integers(0, 256, (47, 47), dtype=np.uint8)) == ""
+    for width, height in ((1, 1), (640, 46)):
+        tiny = tmp_path / f"{height}.png"
+        assert cv2.imwrite(str(tiny), rng.integers(0, 256, (height, width), dtype=np.uint8))
+        with pytest.raises(DataError, match=f"{width}×{height} pixels where at least 47 a side are needed"):
+            read_image(tiny)
     huge = tmp_path / "huge.png"
     assert cv2.imwrite(str(huge), np.zeros((7000, 6000), np.uint8))
     with pytest.raises(DataError, match=r"6000×7000 pixels are more than 40 megapixels; make it smaller"):

@@ -187,3 +187,41 @@ def test_a_rectified_pair_whose_matches_come_row_by_row_is_no_chance() -> None:
         second = first - np.column_stack([rng.uniform(5, 60, 40), np.zeros(40)])
         second += rng.normal(0, 0.2, (40, 2))
         assert verify_matches(first, second, seed=seed).geometry is Geometry.EPIPOLAR
+
+
+def near_a_predicted_place(kind: str, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Partners that were looked for in a window only, about the place that some motion predicts."""
+    first = rng.uniform(0, [640, 480], (count, 2))
+    if kind == "window":
+        return first, first + rng.uniform(-30, 30, (count, 2))
+    if kind == "small window":
+        return first, first + rng.uniform(-8, 8, (count, 2))
+    if kind == "normal":
+        return first, first + rng.normal(0, 15, (count, 2))
+    off_centre = first - [320.0, 240.0]
+    return first, first + 0.15 * off_centre + [40.0, -20.0] + rng.uniform(-20, 20, (count, 2))
+
+
+WINDOWS = ["window", "small window", "normal", "zoom"]
+
+
+@pytest.mark.parametrize("kind", WINDOWS)
+def test_partners_from_anywhere_in_a_window_are_chance(kind: str) -> None:
+    for count in (20, 60, 500):
+        for seed in range(3):
+            first, second = near_a_predicted_place(kind, np.random.default_rng([seed, count]), count)
+            assert verify_matches(first, second, seed=seed).geometry is Geometry.CHANCE
+    # The same places with a geometry behind them are one.
+    views = two_views(3, 60, wrong=0.1)
+    assert verify_matches(views.first, views.second, seed=0).geometry is Geometry.EPIPOLAR
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", WINDOWS)
+def test_windows_give_fewer_false_alarms_than_one_in_a_hundred(kind: str) -> None:
+    alarms, runs = 0, 100
+    for count in (20, 30, 60, 120, 500):
+        for seed in range(runs):
+            first, second = near_a_predicted_place(kind, np.random.default_rng([seed, count, 7]), count)
+            alarms += verify_matches(first, second, seed=seed).geometry is not Geometry.CHANCE
+    assert alarms <= 0.01 * 5 * runs

@@ -19,7 +19,13 @@ import numpy as np
 
 from slamcmp.errors import UsageError
 from slamcmp.frontend.vision.geometry import fundamental
-from slamcmp.frontend.vision.geometry.significance import chance_at_point, chance_on_line, significant
+from slamcmp.frontend.vision.geometry.significance import (
+    TURNS,
+    chance_at_point,
+    chance_on_line,
+    significant,
+    turned_about_the_common_motion,
+)
 from slamcmp.types import BoolArray, FloatArray
 
 Method = Literal["magsac", "ransac", "least_squares"]
@@ -77,6 +83,8 @@ an F fitted around a homography is free to pick up that many wrong matches."""
 _EXCHANGES = (0.236, 0.382, 0.618)
 """By what share of all places partners are moved on, to make matches that have nothing to do with each other:
 far, for neighbours in the list may be neighbours in the image."""
+_SIGMAS, _CONFIDENCE = 2.0, 0.999
+"""By how many deviations of a count inliers must be more than those of such partners; of their sampling."""
 _TURNED_OVER = -0.5
 """Of the correlation below: a mirrored image's is -0.7 to -1, of pairs of a moving camera above 0."""
 
@@ -199,26 +207,55 @@ def _more_than_chance(
     """Whether as many inliers of F, or of H, are no chance.
 
     A random match obeys a model more often than areas say where the points themselves stand in rows, as those
-    of a pattern that repeats do; exchanging the partners tells how often.
+    of a pattern that repeats do; exchanging the partners tells how often. And where partners were looked for
+    near a predicted place only, as all trackers do, they lie near any line through that place: then partners
+    as far from it in any direction tell how often.
     """
     others = np.concatenate([np.roll(second, round(share * len(second)), axis=0) for share in _EXCHANGES])
     of_first = np.tile(first, (len(_EXCHANGES), 1))
+    radius = _HOMOGRAPHY_FACTOR * threshold_px
     if H is not None:
-        radius = _HOMOGRAPHY_FACTOR * threshold_px
         sample, probability = _HOMOGRAPHY_SAMPLE, chance_at_point(first, second, radius)
         exchanged = transfer_distance(H, of_first, others) <= radius
     else:
         assert F is not None
         sample, probability = fundamental.SAMPLE, chance_on_line(first, second, threshold_px)
         exchanged = fundamental.sampson_distance(F, of_first, others) <= threshold_px
-    return significant(
+    apart_px = max(5.0 * threshold_px, 5.0)
+    probability = max(probability, float(exchanged.mean()))
+    by_areas = significant(first, second, inliers, sample=sample, probability=probability, apart_px=apart_px)
+    if not by_areas:
+        return False
+    near, turned = turned_about_the_common_motion(first, second, radius)
+    if not near.any():
+        return True
+    first, second, inliers = first[near], second[near], inliers[near]
+    of_first = np.tile(first, (TURNS, 1))
+    if F is not None:
+        agree = fundamental.sampson_distance(F, of_first, turned) <= threshold_px
+    else:
+        assert H is not None
+        agree = transfer_distance(H, of_first, turned) <= radius
+    if significant(
         first,
         second,
         inliers,
         sample=sample,
-        probability=max(probability, float(exchanged.mean())),
-        apart_px=max(5.0 * threshold_px, 5.0),
-    )
+        probability=max(probability, float(agree.mean())),
+        apart_px=apart_px,
+    ):
+        return True
+    # The bound is generous where a chance is large; what the best model of such partners has is not.
+    count = len(first)
+    for seed, partners in enumerate(turned.reshape(TURNS, count, 2)):
+        if F is not None:
+            agree = fundamental.magsac(first, partners, seed, threshold_px=threshold_px).inliers
+        else:
+            _, agree = _homography(first, partners, seed, radius, _CONFIDENCE)
+        by_chance = int(agree.sum())
+        if inliers.sum() <= by_chance + _SIGMAS * math.sqrt(by_chance * (count - by_chance) / count):
+            return False
+    return True
 
 
 def _is_mirrored(first: FloatArray, second: FloatArray) -> bool:

@@ -21,6 +21,12 @@ from slamcmp.types import BoolArray, FloatArray, IntArray
 
 LIMIT = 1e-2
 """Largest number of false alarms that is no chance: one pair in a hundred, at most."""
+TURNS = 4
+"""How many sets of partners are made of one."""
+_ANGLES = 2.0 * math.pi * 0.381966 * np.arange(TURNS)
+"""Golden angles: no direction is preferred, and neighbours in the list do not share one."""
+_NEAR = 3.0
+"""Times the median distance from the common motion: beyond it, a match tells nothing of it."""
 _TABLE_MAX = 300
 """Points whose mutual distances are looked at all at once."""
 
@@ -90,6 +96,30 @@ def significant(
     if passes(max(n for n, _ in quarters), min(k for _, k in quarters)):
         return True
     return passes(distinct(first, second, apart_px), distinct(first[inliers], second[inliers], apart_px))
+
+
+def turned_about_the_common_motion(
+    first: FloatArray, second: FloatArray, threshold_px: float
+) -> tuple[BoolArray, FloatArray]:
+    """Partners as far from an affine map of the first points as the second are, but in any direction.
+
+    The mask (m,) tells the matches that are meant, of whose points the partners (TURNS k, 2) are: without
+    those that the map leaves far behind, which are wrong wherever they were looked for. It is empty where
+    the map explains half of them by itself, to ``threshold_px``.
+    """
+    ones = np.column_stack([first, np.ones(len(first))])
+    near = np.ones(len(first), dtype=bool)
+    for _ in range(3):
+        A = np.linalg.lstsq(ones[near], second[near], rcond=None)[0]
+        off = second - ones @ A
+        far = np.hypot(*off.T)
+        middle = float(np.median(far))
+        near = far <= _NEAR * middle
+    if middle <= threshold_px:
+        return np.zeros(len(first), dtype=bool), np.empty((0, 2))
+    angles = np.add.outer(_ANGLES, _ANGLES[1] * np.arange(int(near.sum())))
+    around = np.exp(1j * angles) * (off[near, 0] + 1j * off[near, 1])
+    return near, (ones[near] @ A + np.stack([around.real, around.imag], axis=-1)).reshape(-1, 2)
 
 
 def _log_choose(n: int, k: int) -> float:
