@@ -166,6 +166,13 @@ def test_dry_run_writes_nothing(tmp_path: Path) -> None:
         "3 trials; to do: 3 streams, 6 runs; reused: 0 runs; results: results/mine"
     )
     assert answer.stdout.splitlines()[0] == "trial 0: seed=0: DeadReckoning, Hindsight"
+    write(tmp_path, "DeadReckoning", "seeds: 1\nsweep: {source.sigma_m: [0.5, 1.0]}\n")
+    swept = call(tmp_path, "run", "mine.yaml", "--dry-run").stdout.splitlines()
+    assert swept[:2] == [
+        "trial 0: sigma = 0.5 m, seed=0: DeadReckoning",
+        "trial 1: sigma = 1 m, seed=0: DeadReckoning",
+    ]
+    write(tmp_path, "DeadReckoning Hindsight", "seeds: 3\n")
     told = json.loads(call(tmp_path, "run", "mine.yaml", "--dry-run", "--json").stdout)
     assert (told["trials"], len(told["runs_to_do"])) == (3, 6)
     assert not (tmp_path / "results").exists()

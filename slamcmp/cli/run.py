@@ -285,6 +285,8 @@ def _cell(value: Any) -> str:
 
 
 def _print_plan(plan: Plan, folder: Path, in_cache: int, as_json: bool) -> None:
+    from slamcmp.results.grid import point_name
+
     if as_json:
         print(
             json.dumps(
@@ -300,10 +302,11 @@ def _print_plan(plan: Plan, folder: Path, in_cache: int, as_json: bool) -> None:
         )
         return
     for trial in plan.trials:
-        swept = [f"{path}={value}" for path, value in trial.swept.items()]
+        swept = [f"{point_name(trial.swept)},"] if trial.swept else []
         seed = [] if trial.seed is None else [f"seed={trial.seed}"]
         jobs = [f"{job.back_end.label}{'' if job.key in plan.runs else ' (done)'}" for job in trial.runs]
-        print(f"trial {trial.number}: {' '.join([*swept, *seed])}: {', '.join(jobs)}".replace(": :", ":"))
+        place = " ".join([*swept, *seed]).removesuffix(",")
+        print(f"trial {trial.number}: {f'{place}: ' if place else ''}{', '.join(jobs)}")
     known = f" ({in_cache} of them are in the shared cache)" if in_cache else ""
     print(
         f"{len(plan.trials)} trials; to do: {len(plan.streams)} streams, {len(plan.runs)} runs{known}; "
@@ -357,9 +360,10 @@ def _print_results(results: Results, summary: pd.DataFrame, failed: pd.DataFrame
 
 def _print_verdict(verdict: PublishedVerdict) -> None:
     from slamcmp.report.published import order_rows, value_rows
+    from slamcmp.results.judgements.summary import in_words
 
     print(f"\npublished: {verdict.source.strip()}")
     for table in (value_rows(verdict), order_rows(verdict)):
         if len(table):
-            print_table(table, upright_rows=0)
+            print_table(in_words(table), upright_rows=0)
     print(f"verdict: {verdict.sentence()}")

@@ -27,6 +27,7 @@ from slamcmp.experiment.planning.samples import Samples
 from slamcmp.experiment.planning.trials import RunJob, StreamJob, Trial
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.registry import Plugin
+from slamcmp.results.grid import point_name
 from slamcmp.results.runs.run_file import StoredTruth, load_run, load_truth, save_run, truth_digest
 from slamcmp.support.files.atomic import storage_error
 from slamcmp.support.files.packed_files import content, remove
@@ -149,7 +150,7 @@ class Schedule:
     def _suffix(self, trial: Trial) -> str:
         if not self._several_trials:
             return ""
-        swept = [f"{path.rpartition('.')[2]}={value}" for path, value in trial.swept.items()]
+        swept = [point_name(trial.swept)] if trial.swept else []
         seed = [] if trial.seed is None else [trial.recording or f"seed {trial.seed}"]
         return f" ({', '.join([*swept, *seed])})"
 

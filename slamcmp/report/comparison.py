@@ -12,8 +12,9 @@ import pandas as pd
 from slamcmp.metrics.statistics import Interval
 from slamcmp.results.compare.comparison import Comparison, Judgement
 from slamcmp.results.compare.differences import Difference
-from slamcmp.results.grid import value_text
+from slamcmp.results.grid import swept_columns, value_text
 from slamcmp.results.numbers import interval_text, number_text
+from slamcmp.results.words import parameters_in_words
 
 RULE = {
     "interval": "a condition holds where the whole 95 % interval is past the amount; without one (fewer than "
@@ -45,7 +46,7 @@ def comparison_rows(comparison: Comparison) -> pd.DataFrame:
     table = pd.DataFrame(rows)
     if rows and not any(table["failed in one"]):
         table = table.drop(columns="failed in one")
-    return table
+    return table.rename(columns=parameters_in_words(swept_columns(table)))
 
 
 def difference_rows(comparison: Comparison) -> Iterator[tuple[str, Difference]]:

@@ -27,6 +27,7 @@ from slamcmp.results.judgements.certainty import runs_by_point
 from slamcmp.results.numbers import number_text
 from slamcmp.results.partial import comparable, missing_runs
 from slamcmp.results.store import Results
+from slamcmp.results.words import parameters_in_words
 
 DEFAULT_COLUMNS = ("online_ate", "final_ate", "landmark_rmse", "online_pose_nees", "update_median_ms")
 COUNTS = ("runs", "ok", "failed")
@@ -80,16 +81,22 @@ class PaperTable:
     """A table as numbers, and as text in three languages."""
 
     keys: tuple[str, ...]
-    """Headings of the cells that name a row: back end, swept parameters."""
+    """What names a row: back end, paths of swept parameters (the columns of CSV)."""
     columns: tuple[PaperColumn, ...]
     rows: tuple[tuple[tuple[str, ...], tuple[PaperCell, ...]], ...]
     comments: tuple[str, ...]
     intervals: bool = True
 
+    @property
+    def key_words(self) -> tuple[str, ...]:
+        """The keys as a reader says them."""
+        words = parameters_in_words(self.keys[1:])
+        return (self.keys[0], *(words[path] for path in self.keys[1:]))
+
     def latex(self) -> str:
         """A tabular whose numbers are aligned at their points."""
         layout = ["l" * len(self.keys)]
-        head = [f"{{{latex_escaped(key)}}}" for key in self.keys]
+        head = [f"{{{latex_escaped(key)}}}" for key in self.key_words]
         for place, column in enumerate(self.columns):
             texts = [_number(column, row[1][place]) for row in self.rows]
             layout.append(f"S[table-format={_siunitx_format(texts)}]")
@@ -121,7 +128,7 @@ class PaperTable:
 
     def markdown(self) -> str:
         """A table of GitHub's Markdown; the comments are hidden."""
-        head = [*self.keys, *(column.header for column in self.columns)]
+        head = [*self.key_words, *(column.header for column in self.columns)]
         marks = ["---"] * len(self.keys) + ["---:"] * len(self.columns)
         rows = []
         for keys, cells in self.rows:

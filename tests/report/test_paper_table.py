@@ -86,7 +86,16 @@ def test_swept_values_name_rows() -> None:
     table = paper_table(results_of(rows), ["online_ate", "runs"])
     assert table.keys == ("back end", path)
     assert [keys for keys, _ in table.rows] == [("a", "0.1"), ("a", "0.3")]
-    assert r"source.range\_sigma\_m" in table.latex()
+    # Programs read CSV, readers the others.
+    assert "back_end,source.range_sigma_m,online_ate" in table.csv()
+    for text in (table.latex(), table.markdown()):
+        assert "range sigma" in text
+        assert "source" not in text
+    # A unit that means something to LaTeX, and two parameters of one name.
+    swept = {"source.turn_sigma_deg_s": 2.0, "source.start": 1.0, "front_end.start": 0.0}
+    both = paper_table(results_of(runs("a", [1.0], **swept)), ["online_ate"])
+    assert r"{turn sigma [\textdegree{}/s]} & {start (source)} & {start (front end)}" in both.latex()
+    assert r"| back end | turn sigma \[°/s\] | start (source) | start (front end) |" in both.markdown()
 
 
 def test_columns_that_are_not_there_are_named(results: Results) -> None:
