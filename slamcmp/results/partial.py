@@ -25,7 +25,7 @@ class Missing:
     """What an interrupted or damaged experiment lacks."""
 
     runs: pd.DataFrame
-    """One row a missing run: its swept values, ``seed`` and ``label``."""
+    """One row a missing run: its swept values, ``seed``, ``label``, and of recordings which ``recording``."""
     asked: int
     """Runs that the experiment asks for."""
     compared: int
@@ -77,7 +77,13 @@ def missing_runs(results: Results) -> Missing | None:
     names = [str(entry["label"]) for entry in config.get("back_ends") or [] if "label" in entry]
     if not names:
         return _without_configuration(results)
-    seeds = results.manifest.get("seeds") or config.get("seeds") or results.trials["seed"].unique().tolist()
+    recordings: list[str] = results.manifest.get("recordings") or []
+    seeds = (
+        list(range(len(recordings)))
+        or results.manifest.get("seeds")
+        or config.get("seeds")
+        or results.trials["seed"].unique().tolist()
+    )
     ran = results.trials[~results.trials["status"].isin(NOT_RUN)]
     there = {
         (*(_cell(value) for value in row[:-1]), str(row[-1]))
@@ -89,13 +95,19 @@ def missing_runs(results: Results) -> Missing | None:
         for seed in seeds:
             trials += 1
             rows += [
-                {**dict(zip(sweep, values, strict=True)), "seed": seed, "label": name}
+                {
+                    **dict(zip(sweep, values, strict=True)),
+                    "seed": seed,
+                    "label": name,
+                    **({"recording": recordings[seed]} if recordings else {}),
+                }
                 for name in names
                 if not any((*point, _cell(seed), name) in there for point in points)
             ]
     if not rows:
         return None
-    runs = pd.DataFrame(rows, columns=[*sweep, "seed", "label"]).astype({"seed": "Int64"})
+    named = ["recording"] if recordings else []
+    runs = pd.DataFrame(rows, columns=[*sweep, "seed", "label", *named]).astype({"seed": "Int64"})
     return Missing(runs, trials * len(names), len(_whole_trials(results)), trials)
 
 
@@ -150,13 +162,13 @@ def _cell(value: Any) -> Any:
 
 
 def _named(own: pd.DataFrame) -> str:
-    """``seeds 3, 4``, with the grid point where there is one; ``12 runs`` where they are many."""
+    """``seed 3, seed 4`` or the recordings, with the grid point if there is one; ``12 runs`` of many."""
     swept = swept_columns(own)
     if len(own) > LISTED or (own["seed"].isna().any() and not swept):
         return f"{len(own)} run{'s' if len(own) > 1 else ''}"
     texts = []
     for row in own.to_dict("records"):
-        seed = "" if pd.isna(row["seed"]) else f"seed {int(row['seed'])}"
+        seed = row.get("recording") or ("" if pd.isna(row["seed"]) else f"seed {int(row['seed'])}")
         place = point_name({path: row[path] for path in swept})
         texts.append(" at ".join(part for part in (seed, place) if part))
     return ", ".join(texts)

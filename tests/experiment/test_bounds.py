@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment, parse_experiment
 from slamcmp.experiment.gathering.manifest import require_same_experiment
+from slamcmp.experiment.runner import run_experiment
 from slamcmp.support.configuration.code_source import CodeSource
 from slamcmp.support.configuration.yaml_source import YamlSource
 from slamcmp.support.messages import LIMIT
@@ -232,3 +233,28 @@ def test_good_experiment_is_one(tmp_path: Path) -> None:
     """What the others are a change of."""
     (tmp_path / "e.yaml").write_text(GOOD)
     assert json.dumps(load_experiment(tmp_path / "e.yaml").as_dict())
+
+
+def test_what_is_expected_shows_no_traceback_in_this_process(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The serial executor has no log to put it in."""
+    step = "1 0 0 100 0 0 100 0 100"
+    chain = [f"EDGE_SE2 {k} {k + 1} {step}" for k in range(3)]
+    (tmp_path / "loop.g2o").write_text("\n".join([*chain, f"EDGE_SE2 3 0 {step}"]) + "\n")
+    (tmp_path / "t.txt").write_text("900 0 0 0 0 0 0 1\n901 0 0 0 0 0 0 1\n")
+    path = tmp_path / "e.yaml"
+    for more, message in (
+        ("", "takes no loop closures"),
+        (", truth: t.txt", "has no pose at any of the log's"),
+    ):
+        path.write_text(
+            f"source: {{name: graph_file, path: loop.g2o{more}}}\nback_ends: [{{name: ekf_slam}}]\n"
+        )
+        if more:
+            with pytest.raises(SlamcmpError, match=message):
+                run_experiment(path, folder=tmp_path / "r", executor="serial")
+        else:
+            (told,) = run_experiment(path, folder=tmp_path / "r", executor="serial").trials["message"]
+            assert message in told
+    assert "Traceback" not in capfd.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from slamcmp.errors import SlamcmpError, UsageError
 from slamcmp.experiment.config.experiment import load_experiment
 from slamcmp.experiment.planning.trials import make_trials
 from slamcmp.experiment.runner import run_experiment
+from slamcmp.results.partial import missing_runs
 from slamcmp.results.store import load_results
 
 
@@ -64,6 +66,14 @@ def test_recordings_are_the_paired_samples(three: Path) -> None:
     assert (results.trials["status"] == "ok").all()
     assert results.manifest["recordings"] == ["a.g2o", "b.g2o", "c.g2o"]
     assert results.manifest["seeds"] == []
+    assert missing_runs(results) is None
+    lost = results.trials[(results.trials["seed"] != 1) | (results.trials["label"] != "batch")]
+    missing = missing_runs(replace(results, trials=lost))
+    assert missing is not None
+    assert missing.sentence() == (
+        "not complete: 1 of 9 runs are missing (batch: b.g2o); back ends are compared on the 2 of 3 trials "
+        "that all of them have"
+    )
     by_recording = results.trials.groupby("recording")["digest"].nunique()
     assert by_recording.to_dict() == {"a.g2o": 1, "b.g2o": 1, "c.g2o": 1}
     assert results.trials["digest"].nunique() == 3

@@ -201,9 +201,12 @@ def _known_stream(
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        with contextlib.suppress(Exception):
-            traceback.print_exc()
-        text = told(str(error)) if isinstance(error, SlamcmpError) else describe(error)
+        expected = isinstance(error, SlamcmpError)
+        if not expected:
+            # For the log; what is expected says all in one line.
+            with contextlib.suppress(Exception):
+                traceback.print_exc()
+        text = told(str(error)) if expected else describe(error)
         return None, StoredTruth("", 0, None, {}, (type(error).__name__, text))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from slamcmp.errors import DivergedError
+from slamcmp.errors import DivergedError, SlamcmpError
 from slamcmp.experiment.job.collected import Collected, first_fault
 from slamcmp.experiment.job.task import BEATS
 from slamcmp.protocols import BackEnd, Diagnosed, JointEstimator, Mapper, Selective, Smoother
@@ -126,8 +126,10 @@ def _guarded(action: Callable[[], str | None], collected: Collected) -> tuple[St
             message = told(f"{collected.where()}: {describe(error)}")
             # Where output goes to a log, its reader finds the way to the fault there; at the limit of memory
             # or on a full disk there may be no log to write.
-            with contextlib.suppress(Exception):
-                traceback.print_exc()
+            # What is expected, such as a closure that a filter refuses, says all in its line.
+            if not isinstance(error, SlamcmpError):
+                with contextlib.suppress(Exception):
+                    traceback.print_exc()
         return "crashed", message
 
 
