@@ -36,6 +36,7 @@ SHOWN_IN = {
     "kitti00_stereo": "vision.md",
     "kitti06": "recorded-images.md",
     "mrclam": "real-robots.md",
+    "mrclam_unknown": "without-labels.md",
     "observability": "consistency.md",
     "outliers": "robust.md",
     "plaza": "real-robots.md",

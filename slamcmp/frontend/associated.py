@@ -118,13 +118,13 @@ def associated(
         least_probability,
         sightings_as_one,
     )
-    ids, usable, clear, points, counts = [], [], [], [], []
+    ids, unusable, clear, points, counts = [], [], [], [], []
     for k, detections in enumerate(log.detections):
-        seen, removed = _usable(sensor, detections, range_max_m)
+        seen, removed = usable(sensor, detections, range_max_m)
         associator.move(log.T_prev_body[k], log.Q[k])
         decided = associator.decide(k, seen)
         ids.append(decided.ids)
-        usable.append(removed)
+        unusable.append(removed)
         clear.append(decided.clear)
         points.append(seen.all_points)
     if held_back == "inserted":
@@ -135,8 +135,8 @@ def associated(
     for k, detections in enumerate(log.detections):
         passed = ids[k] != NO_LANDMARK
         not_clear = int((~clear[k]).sum())
-        unconfirmed = detections.ids.size - sum(usable[k]) - not_clear - int(passed.sum())
-        counts.append([detections.ids.size, *usable[k], not_clear, unconfirmed, int(passed.sum())])
+        unconfirmed = detections.ids.size - sum(unusable[k]) - not_clear - int(passed.sum())
+        counts.append([detections.ids.size, *unusable[k], not_clear, unconfirmed, int(passed.sum())])
         kept.append(passed)
         frames.append(
             Frame(
@@ -169,7 +169,7 @@ def true_labels(log: Log) -> tuple[IntArray, ...]:
     return tuple(labels)
 
 
-class _Seen(NamedTuple):
+class Seen(NamedTuple):
     """The usable detections of a frame, as points in the body frame."""
 
     rows: IntArray
@@ -182,7 +182,7 @@ class _Seen(NamedTuple):
     """Of every detection of the frame, (m, n); NaN where it is not finite."""
 
 
-def _usable(sensor: SensorModel, detections: Detections, range_max_m: float) -> tuple[_Seen, list[int]]:
+def usable(sensor: SensorModel, detections: Detections, range_max_m: float) -> tuple[Seen, list[int]]:
     """The detections that can be used, and how many were removed as not finite and as too far."""
     origin = np.eye(sensor.space_dim + 1)
     finite = np.isfinite(detections.z).all(axis=1) & np.isfinite(detections.R).all(axis=(1, 2))
@@ -195,7 +195,7 @@ def _usable(sensor: SensorModel, detections: Detections, range_max_m: float) -> 
     _, H = sensor.jacobians(origin, x)
     J = np.linalg.inv(H)
     N = J @ detections.R[rows] @ np.swapaxes(J, 1, 2)
-    return _Seen(rows, x, N, points), [int((~finite).sum()), int((finite & ~near).sum())]
+    return Seen(rows, x, N, points), [int((~finite).sum()), int((finite & ~near).sum())]
 
 
 class _Decided(NamedTuple):
@@ -227,7 +227,7 @@ class _Associator:
     def move(self, T_prev_body: FloatArray, Q: FloatArray) -> None:
         self._map.predict(T_prev_body, Q)
 
-    def decide(self, k: int, seen: _Seen) -> _Decided:
+    def decide(self, k: int, seen: Seen) -> _Decided:
         ids = np.full(len(seen.all_points), NO_LANDMARK, dtype=np.int64)
         clear = np.ones(ids.size, dtype=bool)
         if not seen.rows.size:
@@ -251,7 +251,7 @@ class _Associator:
         self._frames += 1
         return _Decided(ids, clear)
 
-    def _pairs(self, seen: _Seen) -> tuple[IntArray, BoolArray]:
+    def _pairs(self, seen: Seen) -> tuple[IntArray, BoolArray]:
         """The map's row of each detection or NOBODY, (u,), and which of those are of something new, (u,)."""
         count = len(self.candidates.rows)
         if not count:

@@ -73,7 +73,7 @@ class OwnMap:
     def innovations(self, x: FloatArray, N: FloatArray, rows: IntArray) -> Innovations:
         """Of every detection with the landmarks ``rows`` (L,)."""
         blocks = self._blocks(rows, rows)
-        return Innovations(x[:, None] - self.q[rows][None], blocks, uncorrelated(N))
+        return Innovations(self._deviations(self.q[rows][None], x[:, None]), blocks, uncorrelated(N))
 
     def correct(self, rows: IntArray, x: FloatArray, N: FloatArray) -> None:
         """Take in detections (m, n) of the landmarks ``rows`` (m,).
@@ -86,7 +86,7 @@ class OwnMap:
             H = np.zeros((m * n, len(self.P)))
             H[np.arange(m * n), self._states(rows)] = 1.0
             noise = uncorrelated(N).transpose(0, 2, 1, 3).reshape(m * n, m * n)
-            self._update(H, (x - self.q[rows]).ravel(), noise)
+            self._update(H, self._deviations(self.q[rows], x).ravel(), noise)
 
     def add(self, x: FloatArray, N: FloatArray) -> int:
         """One landmark (n,) with covariance (n, n), which knows nothing of the others yet; its row."""
@@ -111,9 +111,17 @@ class OwnMap:
         W = solve_triangular(L, PH.T, lower=True).T
         dx = W @ solve_triangular(L, y, lower=True)
         self.a = self.a + dx[:SCALES]
-        self.q = self.q + dx[SCALES:].reshape(self.q.shape)
         # W W^T is symmetric to the bit, so P stays so.
         self.P = self.P - W @ W.T
+        self._move(dx[SCALES:].reshape(self.q.shape))
+
+    def _deviations(self, q: FloatArray, x: FloatArray) -> FloatArray:
+        """Of points x (…, n) from landmarks q (…, n), in the tangent at q that P is of."""
+        return x - q
+
+    def _move(self, d: FloatArray) -> None:
+        """Move the landmarks along d (L, n) in their tangents."""
+        self.q = self.q + d
 
     def _states(self, rows: IntArray) -> IntArray:
         n = self.q.shape[1]
