@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from slamcmp.datasets.images.seven_scenes import seven_scenes
-from slamcmp.frontend.vision.checks.seen_motion import SeenMotion, delay
+from slamcmp.datasets.images.tum_rgbd import tum_rgbd
+from slamcmp.frontend.vision.checks.seen_motion import Moved, SeenMotion, delay, scale_of
 from slamcmp.frontend.vision.features.harris import Corners
 from slamcmp.frontend.vision.image_pair import Features, extract_features
 from slamcmp.frontend.vision.tracking.measuring import Noise, measuring
@@ -92,6 +93,56 @@ def test_depths_of_another_scale_are_told_without_parallax(factor: float) -> Non
     (told,) = said_of(drive(0.015, 0.003), STEREO, scale=factor)
     assert float(told.split("depths are ")[1].split(" times")[0]) == pytest.approx(factor, rel=0.25)
     assert "is a unit wrong, of the depth images, the baseline or the odometry?" in told
+
+
+def moved_along(
+    rng: np.random.Generator, scale: float, *, told_sigma: float, seen_sigma: float, seen_stated: float
+) -> list[Moved]:
+    """Displacements of unit size, the odometry's noise as large as they are or smaller."""
+    moved = []
+    for _ in range(32):
+        true = rng.normal(0, 1, 3)
+        seen = scale * true + rng.normal(0, seen_sigma, 3)
+        told = true + rng.normal(0, told_sigma, 3)
+        moved.append(Moved(seen, told, 3 * seen_stated**2, 3 * told_sigma**2))
+    return moved
+
+
+def test_a_large_scale_is_told_through_the_odometry_s_noise_and_none_by_noise() -> None:
+    """As on TUM fr1, where a slope of 8.8 had a deviation of 4: the noise of the odometry times the scale."""
+    rng = np.random.default_rng(0)
+    told = [
+        scale_of(moved_along(rng, 10.0, told_sigma=1.0, seen_sigma=0.3, seen_stated=0.3)) for _ in range(100)
+    ]
+    assert sum(each > 2.5 for each in told) >= 97
+    for scale, seen_sigma in ((1.0, 0.3), (1.0, 6.0), (0.0, 6.0), (1.6, 1.0)):
+        wrong = sum(
+            scale_of(moved_along(rng, scale, told_sigma=1.0, seen_sigma=seen_sigma, seen_stated=seen_sigma))
+            != 1.0
+            for _ in range(200)
+        )
+        assert wrong <= 2, (scale, seen_sigma)
+
+
+@pytest.mark.parametrize("seed", [3])
+def test_depths_ten_times_too_large_are_told_of_a_camera_that_mostly_turns(seed: int) -> None:
+    log = tum_rgbd(seed, folder=str(recorded("tum_fr1_rpy_a")))
+    sensor, measure = measuring(
+        log.problem.sensor, Noise(0.5, 0.2, 0.002), features=300, levels=1, depth_min_m=0.3
+    )
+    assert isinstance(sensor, StereoCamera)
+    as_recorded, too_large = SeenMotion(sensor), SeenMotion(sensor)
+    for k in range(log.t.size):
+        frame = log.images[k]
+        assert frame.image is not None
+        features = extract_features(frame.image, count=300)
+        depth = sensor.depths(measure(frame, features).z)
+        for check, factor in ((as_recorded, 1.0), (too_large, 10.0)):
+            check.look(features, factor * depth, (log.T_prev_body[k], log.Q[k]))
+    assert as_recorded.findings(0.1) == []
+    assert any(
+        "times what the camera's motion and the odometry say" in each for each in too_large.findings(0.1)
+    )
 
 
 def test_series_that_have_nothing_to_do_with_each_other_have_no_delay() -> None:

@@ -47,6 +47,33 @@ _SPANS_MIN = 12
 _SCALE = 2.5
 """Told is a factor beyond it, of slope and of size, where the slope's interval excludes 1."""
 _SIGMAS = 2.0
+_WEAKER = 1.0
+"""Deviations of the slope from nothing that are enough where no noise makes the camera's motion so large."""
+_ABOVE_NOISE = 3.0
+"""Times the deviation that the pixels leave a displacement: it is no noise of the images."""
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A displacement of the camera between two images."""
+
+    seen: FloatArray
+    """(3,)."""
+    told: FloatArray
+    """By the odometry, (3,)."""
+    variance_seen: float
+    """Of what was seen, by the pixels that it was found from; summed over the axes."""
+    variance_told: float
+
+
+@dataclass(frozen=True)
+class _Step:
+    """The second camera's pose in the first one's frame."""
+
+    X: FloatArray
+    """(4, 4); without depths its translation is a direction."""
+    variance: float = 0.0
+    """Of its translation, by the pixels; summed over the axes."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +112,14 @@ class SeenMotion:
         steps = [_step(self._camera, *pair, seed) for seed, pair in enumerate(pairs)]
         return [*self._clock(steps, step_s), *(self._scale(steps) if depths else [])]
 
-    def _clock(self, steps: list[FloatArray | None], step_s: float) -> list[str]:
+    def _clock(self, steps: list[_Step | None], step_s: float) -> list[str]:
         T_body_camera = self._camera.T_body_camera
         nothing = np.full(6, np.nan)
         seen = np.array(
-            [nothing if X is None else log(T_body_camera @ X @ inverse(T_body_camera)) for X in steps]
+            [
+                nothing if step is None else log(T_body_camera @ step.X @ inverse(T_body_camera))
+                for step in steps
+            ]
         )
         odometry = np.array([log(image.increment[0]) for image in self._images[1:]])
         if self._images[0].depth_m is None:
@@ -103,22 +133,23 @@ class SeenMotion:
             "and odometry apart?"
         ]
 
-    def _scale(self, steps: list[FloatArray | None]) -> list[str]:
+    def _scale(self, steps: list[_Step | None]) -> list[str]:
         if self._images[0].depth_m is None:
             return []
         T_body_camera = self._camera.T_body_camera
-        moved: list[tuple[FloatArray, FloatArray, float]] = []
+        moved: list[Moved] = []
         for begin in range(0, len(steps) - _SPAN + 1, _SPAN):
-            span = [X for X in steps[begin : begin + _SPAN] if X is not None]
+            span = [step for step in steps[begin : begin + _SPAN] if step is not None]
             if len(span) < _SPAN:
                 continue
-            X: FloatArray = reduce(np.matmul, span)
+            X: FloatArray = reduce(np.matmul, [step.X for step in span])
             T, Q = reduce(
                 compose_increments,
                 [image.increment for image in self._images[begin + 1 : begin + 1 + _SPAN]],
             )
             by_odometry = (inverse(T_body_camera) @ T @ T_body_camera)[:3, 3]
-            moved.append((X[:3, 3], by_odometry, float(np.trace(Q[3:, 3:]))))
+            by_images = sum(step.variance for step in span)
+            moved.append(Moved(X[:3, 3], by_odometry, by_images, float(np.trace(Q[3:, 3:]))))
         scale = scale_of(moved)
         if scale == 1.0:
             return []
@@ -158,43 +189,47 @@ def delay(seen: FloatArray, odometry: FloatArray) -> int:
     return best - furthest if sure else 0
 
 
-def scale_of(moved: list[tuple[FloatArray, FloatArray, float]]) -> float:
+def scale_of(moved: list[Moved]) -> float:
     """How many times too far the camera seems to move; 1 where that is not sure."""
     if not moved:
         return 1.0
     scale, sigma = slope(moved)
+    seen, told = (
+        np.linalg.norm([getattr(each, side) for each in moved], axis=1) for side in ("seen", "told")
+    )
     # Noise on either side makes a slope uncertain, noise of the images sizes too large: both must say it.
-    by_images = float(np.median([seen @ seen for seen, _, _ in moved]))
-    by_odometry = float(np.median([told @ told for _, told, _ in moved]))
-    size = float(np.sqrt(by_images / max(by_odometry, 1e-18)))
-    larger = min(scale, size) > _SCALE and scale - _SIGMAS * sigma > 1.0
+    size = float(np.median(seen) / max(np.median(told), 1e-9))
+    blur = np.sqrt([each.variance_seen for each in moved])
+    # Further than told and the odometry's noise together the camera has hardly ever been. The slope's own
+    # deviation is that noise times the scale, so that the largest scales would be doubted most.
+    reach = np.maximum(told + np.sqrt([each.variance_told for each in moved]), 1e-9)
+    beyond = scale > _WEAKER * sigma and np.median(seen / reach) > _SCALE
+    clear = np.median(seen) > _ABOVE_NOISE * np.median(blur)
+    larger = min(scale, size) > _SCALE and clear and (scale - _SIGMAS * sigma > 1.0 or beyond)
     smaller = max(scale, size) < 1.0 / _SCALE and scale + _SIGMAS * sigma < 1.0
     return scale if larger or smaller else 1.0
 
 
-def slope(moved: list[tuple[FloatArray, FloatArray, float]]) -> tuple[float, float]:
+def slope(moved: list[Moved]) -> tuple[float, float]:
     """Displacements seen over those of the odometry, and its deviation by the jackknife; 1 and 0 if unknown.
 
-    Each is (3,), (3,) and the variance of the odometry's, which would make the slope too small.
+    The odometry's variance, which would make the slope too small, is taken off.
     """
     if len(moved) < _SPANS_MIN:
         return 1.0, 0.0
-    products = np.array([seen @ told for seen, told, _ in moved])
-    squares = np.array([told @ told - variance for _, told, variance in moved])
+    products = np.array([each.seen @ each.told for each in moved])
+    squares = np.array([each.told @ each.told - each.variance_told for each in moved])
     count = len(moved)
     # Where noise is three quarters of what the odometry tells, there is no distance to compare with.
-    if squares.sum() <= 0.25 * sum(float(told @ told) for _, told, _ in moved):
+    if squares.sum() <= 0.25 * sum(float(each.told @ each.told) for each in moved):
         return 1.0, 0.0
     without = (products.sum() - products) / (squares.sum() - squares)
     sigma = np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum())
     return float(products.sum() / squares.sum()), float(sigma)
 
 
-def _step(camera: Camera, first: _Image, second: _Image, seed: int) -> FloatArray | None:
-    """The second camera's pose in the first one's frame (4, 4) by the images; None where they do not tell.
-
-    Without depths its translation is a direction.
-    """
+def _step(camera: Camera, first: _Image, second: _Image, seed: int) -> _Step | None:
+    """The motion between two images by themselves; None where they do not tell."""
     if first.depth_m is None:
         return _turn(camera, first.features, second.features, seed)
     matches = match_descriptors(first.features.descriptors, second.features.descriptors)
@@ -219,10 +254,16 @@ def _step(camera: Camera, first: _Image, second: _Image, seed: int) -> FloatArra
         return None
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(t)
-    return inverse(X)
+    agree = inliers.ravel()
+    projected, J = cv2.projectPoints(points[agree], turn, t, camera.K, None)
+    off = second.features.xy[there[agree]] - projected.reshape(-1, 2)
+    # Two numbers a point, less six of the pose.
+    spread = float((off * off).sum() / (2 * len(off) - 6))
+    variance = spread * float(np.trace(np.linalg.pinv(J[:, :6].T @ J[:, :6])[3:, 3:]))
+    return _Step(inverse(X), variance)
 
 
-def _turn(camera: Camera, first: Features, second: Features, seed: int) -> FloatArray | None:
+def _turn(camera: Camera, first: Features, second: Features, seed: int) -> _Step | None:
     pair = match_features(first, second, seed=seed, K=camera.K)
     F, kept = pair.verification.F, pair.kept
     if F is None or kept.sum() < _POINTS_MIN:
@@ -231,7 +272,7 @@ def _turn(camera: Camera, first: Features, second: Features, seed: int) -> Float
     _, R, t, _ = cv2.recoverPose(K.T @ F @ K, pair.first[kept], pair.second[kept], K)
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R, np.ravel(t)
-    return inverse(X)
+    return _Step(inverse(X))
 
 
 def _clipped(values: FloatArray) -> FloatArray:
