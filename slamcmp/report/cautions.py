@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,34 +70,46 @@ def _sentence(missing: Missing) -> str:
     return f"{text[:1].upper()}{text[1:]}. The same command runs what is missing."
 
 
-def distance_in_sigmas(frames: pd.DataFrame) -> float:
-    """Median over the frames of the online position's Mahalanobis distance to the truth or reference.
+def distances_in_sigmas(frames: pd.DataFrame) -> pd.Series[float]:
+    """Median over each run's frames of the online position's Mahalanobis distance to the truth or reference.
 
-    Where there is neither, to the run's own final trajectory; NaN without that too.
+    By trial and label. Where a run has neither, to its own final trajectory; NaN without that too.
     """
-    target = next((prefix for prefix in ("true", "final") if has_values(frames, [f"{prefix}_x"])), None)
-    if target is None or not has_values(frames, ["online_P_xx"]):
-        return float("nan")
-    dx, dy = (
-        (frames[f"{target}_{axis}"] - frames[f"online_{axis}"]).to_numpy(dtype=float) for axis in ("x", "y")
-    )
-    P_xx, P_xy, P_yy = (frames[f"online_P_{name}"].to_numpy(dtype=float) for name in ("xx", "xy", "yy"))
-    determinant = P_xx * P_yy - P_xy**2
+    keys = [frames["trial"], frames["label"]]
+    squared = _squared_distances(frames, "true")
+    if not has_values(frames, ["true_x"]) or frames["true_x"].isna().any():
+        known = frames["true_x"].notna() if "true_x" in frames else pd.Series(False, index=frames.index)
+        squared = squared.where(known.groupby(keys).transform("any"), _squared_distances(frames, "final"))
+    return squared.groupby(keys, sort=False).median() ** 0.5
+
+
+def _squared_distances(frames: pd.DataFrame, target: str) -> pd.Series[float]:
+    """Of every row; NaN where its position, its target or a proper covariance is missing."""
+    names = [
+        f"{target}_x",
+        f"{target}_y",
+        "online_x",
+        "online_y",
+        *(f"online_P_{of}" for of in ("xx", "xy", "yy")),
+    ]
+    if not set(names) <= set(frames.columns):
+        return pd.Series(np.nan, index=frames.index)
+    x, y, online_x, online_y, P_xx, P_xy, P_yy = (frames[name].to_numpy(dtype=float) for name in names)
+    dx, dy, determinant = x - online_x, y - online_y, P_xx * P_yy - P_xy**2
     with np.errstate(divide="ignore", invalid="ignore"):
         squared = (P_yy * dx**2 - 2.0 * P_xy * dx * dy + P_xx * dy**2) / determinant
-    usable = squared[(determinant > 0) & np.isfinite(squared)]
-    return float(np.sqrt(np.median(usable))) if usable.size else float("nan")
+    return pd.Series(np.where((determinant > 0) & np.isfinite(squared), squared, np.nan), index=frames.index)
 
 
-def map_distance_in_sigmas(landmarks: pd.DataFrame) -> float:
-    """Median over the last map's landmarks of the Mahalanobis distance (x and y) to the truth or reference.
+def map_distances_in_sigmas(landmarks: pd.DataFrame) -> pd.Series[float]:
+    """Median over each last map's landmarks of the Mahalanobis distance (x and y) to the truth or reference.
 
-    NaN where neither knows them.
+    By trial and label; NaN where neither knows them.
     """
     if not has_values(landmarks, ["true_x", "P_xx"]):
-        return float("nan")
+        return pd.Series(dtype=float)
     names = {f"P_{name}": f"online_P_{name}" for name in ("xx", "xy", "yy")}
-    return distance_in_sigmas(landmarks.rename(columns={"x": "online_x", "y": "online_y", **names}))
+    return distances_in_sigmas(landmarks.rename(columns={"x": "online_x", "y": "online_y", **names}))
 
 
 def _warnings(results: Results) -> Caution | None:
@@ -164,9 +175,8 @@ def _healthy_but_far(results: Results) -> Caution | None:
     """Runs whose NIS passes while position or map is far off, or whose NEES over the runs tells it."""
     if not has_values(results.trials, ["nis_per_dof"]) or results.frames.empty:
         return None
-    keys = ["trial", "label"]
-    position = {key: distance_in_sigmas(rows) for key, rows in results.frames.groupby(keys, sort=False)}
-    in_map = {key: map_distance_in_sigmas(rows) for key, rows in results.landmarks.groupby(keys, sort=False)}
+    position = distances_in_sigmas(results.frames)
+    in_map = map_distances_in_sigmas(results.landmarks)
     parts = []
     for point, label, own in runs_by_point(results):
         healthy = own[own["nis_per_dof"].between(*HEALTHY_NIS)]
@@ -198,9 +208,9 @@ def _healthy_but_far(results: Results) -> Caution | None:
     )
 
 
-def _far(trials: pd.Series[Any], label: str, distances: Mapping[Any, float]) -> pd.Series[float]:
+def _far(trials: pd.Series[Any], label: str, distances: pd.Series[float]) -> pd.Series[float]:
     """Of these trials the distances that a covariance cannot explain."""
-    found = pd.Series([distances.get((trial, label), np.nan) for trial in trials], dtype=float)
+    found = distances.reindex(pd.MultiIndex.from_product([trials, [label]]))
     return found[found > FAR_SIGMAS]
 
 

@@ -35,6 +35,10 @@ from slamcmp.results.store import Results
 from slamcmp.results.words import parameters_in_words
 from slamcmp.support.files.atomic import write_atomically
 
+NOT_ON_THE_PAGE = ("digest", "back_end")
+"""Columns of the frames' table that take room and that the page reads nowhere: the trials' table has them."""
+MOST_RUNS = 1500
+"""Rows of the table of runs on the page: a browser sorts no more at once, and the page stays under 8 MB."""
 SVG_LIMIT = 300_000
 """Bytes above which a figure goes in as PNG: a long log's SVG makes the page slow."""
 
@@ -87,7 +91,7 @@ def report_html(results: Results) -> str:
     names = manifest.get("config", {}).get("figures")
     shown = [_embed(drawn) for drawn in each_figure(results, names)]
     live = live_figures(results)
-    alive = [name for name in live if names is None or name in names]
+    alive = {name: data for name, data in live.items() if names is None or name in names}
     plotly = plotly_script() if alive else ""
     script = _script(live_data(results, alive), plotly)
     return environment.get_template("report.html.j2").render(
@@ -126,6 +130,7 @@ def report_html(results: Results) -> str:
         recorded="recording" in results.trials,
         skipped=[figure for figure in shown if not figure.sources],
         trials=without_empty(PageTable(_trial_headers(results), _trial_rows(results))),
+        more_trials=max(0, len(results.trials) - MOST_RUNS),
         facts=_facts(manifest),
         versions=sorted(manifest.get("versions", {}).items()),
         config=json.dumps(manifest.get("config", {}), indent=2, default=str, ensure_ascii=False),
@@ -238,7 +243,7 @@ def _trial_rows(results: Results) -> list[list[Cell]]:
     swept = swept_columns(results.trials)
     metrics = [column.name for column in summary_columns(results)]
     rows = []
-    for row in results.trials.to_dict("records"):
+    for row in results.trials.head(MOST_RUNS).to_dict("records"):
         status, digest = str(row["status"]), str(row["digest"])
         rows.append(
             [

@@ -13,6 +13,7 @@ import gzip
 import importlib.resources
 import importlib.util
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike
 from slamcmp.errors import SlamcmpError
 from slamcmp.frontend.stream_file import load_stream
 from slamcmp.metrics.consistency import average_band
-from slamcmp.report.figures.drawable import NotDrawable, typical_trial
+from slamcmp.report.figures.drawable import NotDrawable, drawn_part, typical_trial
 from slamcmp.report.figures.runs.consistency import binned_nis
 from slamcmp.report.figures.runs.errors import COMPONENTS
 from slamcmp.report.figures.sweeps.budget import budget_points
@@ -51,6 +52,8 @@ STEPS = 150
 """Of the time slider."""
 SIGHTS_MOST = 60
 """Measurements a frame, on average, up to which the map shows them: more would hide it."""
+SEEDS_MOST = 1000
+"""Trials whose points are drawn and joined; more are one grey area."""
 
 
 def live_figures(results: Results) -> dict[str, Any]:
@@ -58,6 +61,7 @@ def live_figures(results: Results) -> dict[str, Any]:
     if importlib.util.find_spec("plotly") is None:
         return {}
     results = comparable(results)
+    results = drawn_part(results) if len(results.trials) else results
     makers = {
         "map": _map,
         "errors": _errors,
@@ -97,9 +101,8 @@ def live_captions(figures: dict[str, Any]) -> dict[str, str]:
     return {name: text for name, text in captions.items() if name in figures}
 
 
-def live_data(results: Results, names: list[str]) -> str:
+def live_data(results: Results, figures: Mapping[str, Any]) -> str:
     """The figures as JSON that may stand inside a script."""
-    figures = {name: each for name, each in live_figures(results).items() if name in names}
     data = {"light": LIGHT, "dark": DARK, "labels": labels(results), "figures": figures}
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace("/", "\\u002f")
@@ -318,8 +321,10 @@ def _seeds(results: Results) -> dict[str, Any] | None:
         values = here.pivot(index="trial", columns="label", values=f"{which}_ate")
         known = [label for label in labels(results) if label in values and values[label].notna().any()]
         order = [labels(results).index(label) for label in known]
-        rows = [_numbers(row) for row in values[known].to_numpy(float)]
-        panels.append({"y": f"{which} ATE [m]", "labels": known, "colours": order, "rows": rows})
+        drawn = values[known].head(SEEDS_MOST)
+        part = f" (first {len(drawn)} of {len(values)} trials)" if len(drawn) < len(values) else ""
+        rows = [_numbers(row) for row in drawn.to_numpy(float)]
+        panels.append({"y": f"{which} ATE [m]{part}", "labels": known, "colours": order, "rows": rows})
     many = any(len(panel["rows"]) > 1 for panel in panels)
     shown = [each for each in labels(results) if any(each in panel["labels"] for panel in panels)]
     return {"kind": "seeds", "order": shown, "panels": panels} if many else None

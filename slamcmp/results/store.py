@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import io
 import json
 import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import pandas as pd
 import pyarrow
+import pyarrow.parquet as pq
 
 from slamcmp.errors import DataError, MissingDataError
 from slamcmp.support.files.atomic import storage_error, write_atomically
@@ -120,8 +120,12 @@ def manifest_digest(manifest: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
 
 
-def load_results(folder: Path | str) -> Results:
+def load_results(folder: Path | str, without: Collection[str] = ()) -> Results:
     """Read the tables and the manifest of a results folder.
+
+    Args:
+        folder: where ``slamcmp run`` wrote them.
+        without: columns of the frames' table that are not needed: of many runs they take much room.
 
     Raises:
         MissingDataError: the folder holds no results.
@@ -132,7 +136,10 @@ def load_results(folder: Path | str) -> Results:
         if not is_file(folder / name):
             raise MissingDataError(f"{folder}: no results here ({name} is missing); 'slamcmp run' makes them")
     manifest = _read_manifest(folder)
-    return Results(folder, manifest, **{name: _read_table(folder, name, manifest) for name in TABLES})
+    tables = {
+        name: _read_table(folder, name, manifest, without if name == "frames" else ()) for name in TABLES
+    }
+    return Results(folder, manifest, **tables)
 
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
@@ -155,18 +162,31 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _read_table(folder: Path, name: str, manifest: Mapping[str, Any]) -> pd.DataFrame:
+def _read_table(
+    folder: Path, name: str, manifest: Mapping[str, Any], without: Collection[str] = ()
+) -> pd.DataFrame:
     path = folder / f"{name}.parquet"
     try:
-        content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != manifest[DIGESTS].get(name):
-            raise DataError(
-                f"{path}: is not the table that {MANIFEST} describes: it was changed, or belongs to another "
-                f"experiment; {AGAIN}"
-            )
-        return pd.read_parquet(io.BytesIO(content), page_checksum_verification=True)
+        # One open file for both, so that what is read is what was checked, whoever replaces it meanwhile.
+        with path.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() != manifest[DIGESTS].get(name):
+                raise DataError(
+                    f"{path}: is not the table that {MANIFEST} describes: it was changed, or belongs to "
+                    f"another experiment; {AGAIN}"
+                )
+            return _columns(file, without)
     except (OSError, ValueError, pyarrow.ArrowException) as error:
         raise DataError(f"{path}: cannot be read ({_told(error)}); {AGAIN}") from error
+
+
+def _columns(file: IO[bytes], without: Collection[str]) -> pd.DataFrame:
+    """A Parquet file but for some columns: one by one then, so that a large table fits once, not twice."""
+    table = pq.ParquetFile(file, page_checksum_verification=True)
+    if not without:
+        whole: pd.DataFrame = table.read().to_pandas()
+        return whole
+    kept = [name for name in table.schema_arrow.names if name not in without]
+    return pd.DataFrame({name: table.read([name]).to_pandas()[name] for name in kept}, copy=False)
 
 
 def _told(error: Exception) -> str:

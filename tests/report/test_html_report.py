@@ -15,7 +15,7 @@ from scipy.stats import binomtest
 
 from slamcmp.cli.run import _print_results
 from slamcmp.report import summary_table, write_report
-from slamcmp.report.cautions import cautions, distance_in_sigmas
+from slamcmp.report.cautions import cautions, distances_in_sigmas
 from slamcmp.report.figures.draw import each_figure
 from slamcmp.report.html import _search_text, report_html
 from slamcmp.report.tables import page_table
@@ -315,11 +315,19 @@ def test_distance_in_sigmas_is_the_mahalanobis_distance(one_trial):
     # P = [[4, 1], [1, 1]], offset (2, 0): e^T P^-1 e = 4 · 1 / 3.
     frames[["online_x", "online_y", "true_x", "true_y"]] = [[0.0, 0.0, 2.0, 0.0]]
     frames[["online_P_xx", "online_P_xy", "online_P_yy"]] = [[4.0, 1.0, 1.0]]
-    assert distance_in_sigmas(frames) == pytest.approx(math.sqrt(4 / 3))
-    without_truth = frames.assign(true_x=math.nan, true_y=math.nan, final_x=0.0, final_y=1.0)
-    # Offset (0, 1): 4 / 3.
-    assert distance_in_sigmas(without_truth) == pytest.approx(math.sqrt(4 / 3))
-    assert math.isnan(distance_in_sigmas(without_truth.drop(columns=["final_x", "final_y"])))
+    assert distances_in_sigmas(frames).item() == pytest.approx(math.sqrt(4 / 3))
+    # Offset (0, 2), of a run without truth beside the other: 4 · 4 / 3.
+    without_truth = frames.assign(trial=1, true_x=math.nan, true_y=math.nan, final_x=0.0, final_y=2.0)
+    both = distances_in_sigmas(pd.concat([frames, without_truth], ignore_index=True))
+    label = frames["label"].item()
+    assert both[0, label] == pytest.approx(math.sqrt(4 / 3))
+    assert both[1, label] == pytest.approx(math.sqrt(16 / 3))
+    nothing = without_truth.drop(columns=["final_x", "final_y"])
+    assert math.isnan(distances_in_sigmas(nothing).item())
+    # The median is over the frames whose covariance is one.
+    several = pd.concat([frames] * 3 + [frames.assign(online_P_xy=9.0)], ignore_index=True)
+    several["true_x"] = [1.0, 2.0, 10.0, 50.0]
+    assert distances_in_sigmas(several).item() == pytest.approx(math.sqrt(4 / 3))
 
 
 def test_page_holds_the_tables_numbers(swept, tmp_path):

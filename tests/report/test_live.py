@@ -103,7 +103,7 @@ def test_names_cannot_leave_the_script(one_trial):
         table.replace({"label": {"ekf": hostile}}) for table in (one_trial.trials, one_trial.frames)
     )
     results = type(one_trial)(one_trial.folder, one_trial.manifest, trials, frames, one_trial.landmarks)
-    text = live_data(results, ["map", "errors"])
+    text = live_data(results, {name: live_figures(results)[name] for name in ("map", "errors")})
     assert "<" not in text
     assert hostile in json.loads(text)["labels"]
 

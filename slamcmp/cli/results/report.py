@@ -103,13 +103,14 @@ def report(
 ) -> None:
     """Write an experiment's report as one HTML file that needs no network."""
     from slamcmp.report import write_report
+    from slamcmp.report.html import NOT_ON_THE_PAGE
     from slamcmp.results.judgements.summary import checked_columns, with_columns
     from slamcmp.results.partial import missing_runs
     from slamcmp.results.store import find_results, load_results
 
     chosen = [] if columns is None else [name.strip() for name in columns.split(",")]
     checked_columns(chosen, "--columns")
-    found = load_results(find_results(results))
+    found = load_results(find_results(results), without=NOT_ON_THE_PAGE)
     missing = missing_runs(found)
     if missing is not None and not is_quiet():
         print(f"{found.folder}: {missing.sentence()}", file=sys.stderr)

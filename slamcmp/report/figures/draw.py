@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from slamcmp.errors import UsageError
 from slamcmp.registry import figures
 from slamcmp.report.figures import style
-from slamcmp.report.figures.drawable import NotDrawable
+from slamcmp.report.figures.drawable import NotDrawable, drawn_part, part_text
 from slamcmp.report.figures.look import Look
 from slamcmp.results.grid import at_point, middle_point, point_name
 from slamcmp.results.partial import comparable, missing_runs
@@ -41,6 +41,8 @@ OVER_TRIALS = frozenset(
     | {"time"}
 )
 """Figures of many trials, which their titles do not name; the others show one, and name it."""
+OVER_FRAMES = frozenset({"association", "consistency", "observability", "time"})
+"""Of these, those with curves over the frames of many runs."""
 PAGE = Look()
 DPI = 150
 LETTERS_PER_INCH = 11
@@ -127,6 +129,7 @@ def each_figure(results: Results, names: Sequence[str] | None = None, look: Look
         known = [name for name in figures.names() if not figures.get(name).traits.get("on_request", False)]
         names = [name for name in ORDER if name in known] + [name for name in known if name not in ORDER]
     missing, results = missing_runs(results), comparable(results)
+    part = results if results.trials.empty else drawn_part(results)
     for plugin in [figures.get(name) for name in names]:
         title, caption = plugin.traits.get("title", plugin.name), plugin.traits.get("caption", plugin.summary)
         with matplotlib.rc_context({**style.RC, **look.rc}):
@@ -134,16 +137,18 @@ def each_figure(results: Results, names: Sequence[str] | None = None, look: Look
                 if results.trials.empty:
                     raise NotDrawable("no trial has a run of every back end")
                 caption = plugin.traits.get("caption_of", lambda _, said=caption: said)(results)
-                figure = plugin.target(results)
+                figure = plugin.target(part)
                 if plugin.name in OVER_TRIALS:
                     _say(figure, _trials_text(results, figure))
+                if plugin.name in OVER_FRAMES and part is not results:
+                    _say(figure, part_text(part, results))
                 if missing is not None:
                     _say(figure, missing.short())
                 look.fit(figure)
                 make_table = plugin.traits.get("table")
-                table = None if make_table is None else make_table(results)
+                table = None if make_table is None else make_table(part)
                 make_panels = plugin.traits.get("panels")
-                panels = () if make_panels is None else tuple(make_panels(results))
+                panels = () if make_panels is None else tuple(make_panels(part))
                 drawn = Drawn(plugin.name, title, caption, figure, table=table, panels=panels)
             except (NotDrawable, UsageError) as reason:
                 drawn = Drawn(plugin.name, title, caption, None, str(reason))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from slamcmp.results.grid import at_point, middle_point
 from slamcmp.results.store import Results
 
@@ -28,3 +30,33 @@ def typical_trial(results: Results) -> int:
         return int(candidates["trial"].iloc[0])
     errors = candidates.groupby("trial")["online_ate"].mean().sort_values(kind="stable")
     return int(errors.index[(len(errors) - 1) // 2])
+
+
+MOST_ROWS = 1_000_000
+"""Of the frames' table, up to which figures take all runs: more seeds move no curve by a line's width."""
+
+
+def drawn_part(results: Results) -> Results:
+    """These results with the frames that figures show: where there are very many, those of the first trials.
+
+    Of the middle grid point, which is what figures over frames show, with the trial that stands for it. The
+    table of trials is whole; results of :data:`MOST_ROWS` frames or fewer are themselves.
+    """
+    frames = results.frames
+    if len(frames) <= MOST_ROWS:
+        return results
+    rows = frames["trial"].value_counts()
+    shown = typical_trial(results)
+    others = at_point(results.trials, middle_point(results))["trial"].drop_duplicates()
+    order = [shown, *(int(trial) for trial in others if trial != shown)]
+    sums = rows.reindex(order, fill_value=0).cumsum()
+    kept = sums.index[(sums <= MOST_ROWS) | (sums.index == shown)]
+    return replace(results, frames=frames[frames["trial"].isin(kept)])
+
+
+def part_text(part: Results, whole: Results) -> str:
+    """``curves over frames: 400 of 4000 trials``; nothing where the part is the whole."""
+    if part is whole:
+        return ""
+    of = at_point(whole.trials, middle_point(whole))["trial"].nunique()
+    return f"curves over frames: {part.frames['trial'].nunique()} of {of} trials"

@@ -81,8 +81,8 @@ def last_frame_nees(results: Results, own: pd.DataFrame, which: str = "online") 
     column, ok = f"{which}_nees", own[own["status"] == "ok"]
     if column not in results.frames or ok.empty:
         return average_nees([], dof)
-    frames = results.frames[results.frames["label"] == ok["label"].iloc[0]]
-    frames = frames[frames["trial"].isin(ok["trial"])]
+    mine = results.frames["label"] == ok["label"].iloc[0]
+    frames = results.frames[["trial", "k", column]][mine & results.frames["trial"].isin(ok["trial"])]
     return average_nees(frames.sort_values("k").groupby("trial")[column].last(), dof)
 
 

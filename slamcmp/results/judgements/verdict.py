@@ -22,14 +22,21 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from slamcmp.metrics.statistics import Interval, ratio_interval
 from slamcmp.results.grid import at_point, grid_points, point_name
-from slamcmp.results.judgements.ensemble import ENSEMBLE_METRICS, ensemble_value, run_values
+from slamcmp.results.judgements.ensemble import (
+    COLUMNS,
+    ENSEMBLE_METRICS,
+    ensemble_value,
+    run_values,
+)
 from slamcmp.results.judgements.published import Published, PublishedOrder
 from slamcmp.results.partial import comparable
 from slamcmp.results.store import Results
+from slamcmp.types import IntArray
 
 FEWEST_PAIRS = 20
 """Of fewer, a few runs that are far off in one direction decide."""
@@ -187,6 +194,7 @@ class _Measured:
     def __init__(self, trials: pd.DataFrame, frames: pd.DataFrame) -> None:
         self._trials = trials[trials["status"] == "ok"]
         self._frames = frames
+        self._rows: dict[str, IntArray] = {}
         self.points = grid_points(trials)
 
     def runs(self, label: str, point: Mapping[str, Any]) -> int:
@@ -211,4 +219,10 @@ class _Measured:
         return at_point(self._trials[self._trials["label"] == label], point)
 
     def _frames_of(self, ok: pd.DataFrame, label: str) -> pd.DataFrame:
-        return self._frames[(self._frames["label"] == label) & self._frames["trial"].isin(ok["trial"])]
+        # Where a label's rows are is found once; its columns are copied when asked for, and not kept.
+        if label not in self._rows:
+            self._rows[label] = np.flatnonzero(self._frames["label"] == label)
+        columns = [name for name in COLUMNS if name in self._frames]
+        frames = self._frames[columns].iloc[self._rows[label]]
+        kept = frames["trial"].isin(ok["trial"])
+        return frames if kept.all() else frames[kept]
