@@ -114,6 +114,11 @@ def of_levels(found: Any) -> list[tuple[str, float, float | None]]:
     ]
 
 
+def of_large_report(found: Any) -> list[tuple[str, float, float | None]]:
+    limits = {"seconds": 60.0, "GiB": 4.0, "page_MB": 8.0}
+    return [(f"{name}, of {most:g}", found[name] / most, 1.0) for name, most in limits.items()]
+
+
 def of_peers(found: Any) -> list[tuple[str, float, float | None]]:
     return [
         (f"N={row['landmarks']} against {row['peer']}", row["ratio"], None) for row in found if row["ratio"]
@@ -132,6 +137,7 @@ BENCHMARKS: dict[str, tuple[tuple[str, ...], Reader | None]] = {
     "runner": (("runner.py", "--json"), of_runner),
     "trials": (("trials.py", "--json"), of_trials),
     "ensemble": (("ensemble.py", "--runs", "100", "--json"), of_ensemble),
+    "large_report": (("large_report.py", "--json"), of_large_report),
     "sandbox": (("sandbox.py",), None),
     "peers": (("peers.py", "--json"), of_peers),
 }
