@@ -59,9 +59,25 @@ def test_a_row_of_victoria_park_s_table_is_what_was_measured(row: str) -> None:
     assert row in PAGE
 
 
+def test_the_innovations_of_victoria_park_are_smaller_than_stated() -> None:
+    """NIS/dof of the three filters, the sentence below the table."""
+    runs = read_runs("victoria_park_gps").set_index("label")["nis_per_dof"]
+    told = {f"{runs[name]:.2f}" for name in ("EKF + RTS", "right-invariant EKF + RTS", "iterated EKF")}
+    assert told == {"0.20"}
+    assert "(NIS/dof 0.20)" in PAGE
+
+
 def test_with_hindsight_the_right_invariant_filter_is_with_batch_on_plaza() -> None:
     """Within 5 % of batch in both sets, and so is iSAM2; the sentence below the table."""
     runs = read_runs("plaza").set_index(["label", "source.number"])["final_ate_aligned"]
     for number in (1, 2):
         for label in ("right-invariant EKF + RTS", "iSAM2"):
             assert runs[label, number] == pytest.approx(runs["batch", number], rel=0.05)
+
+
+def test_hindsight_gains_a_quarter_on_plaza_but_in_the_window() -> None:
+    runs = read_runs("plaza").dropna(subset=["final_ate_aligned"])
+    gained = 1.0 - runs["final_ate_aligned"] / runs["online_ate_aligned"]
+    window = runs["label"] == "sliding window"
+    assert gained[~window].min() > 0.25
+    assert gained[window].max() < 0.25

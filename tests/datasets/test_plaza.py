@@ -19,6 +19,7 @@ from slamcmp.geometry import dead_reckoning, translation, wrap
 from slamcmp.metrics.alignment import align_points
 from slamcmp.types import Log
 
+PAGE = " ".join((Path(__file__).parents[2] / "docs" / "real-robots.md").read_text(encoding="utf-8").split())
 SIZES = {1: (9657, 3529), 2: (4090, 1816)}
 SCALE = 0.935
 
@@ -94,6 +95,9 @@ def test_ranges_are_too_long_by_a_share_and_not_by_a_length(number: int) -> None
     slope, offset = np.polyfit(np.array(true)[known], np.array(heard)[known], 1)
     assert 1.065 < slope < 1.075
     assert abs(offset) < 0.15
+    long = np.median(np.array(heard)[known] / np.array(true)[known])
+    assert f"they are {100 * (long - 1):.1f} % too long" in PAGE
+    assert f"(1/{long:.3f})" in PAGE
     left = np.array(heard)[known] - slope * np.array(true)[known] - offset
     assert 0.5 < left.std() < 0.6
 

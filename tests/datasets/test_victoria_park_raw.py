@@ -146,3 +146,17 @@ def test_the_recorded_drive_is_that_of_the_wheels_file() -> None:
     per_scan = np.array([each.ids.size for each in log.detections])
     assert 4 < per_scan.mean() < 12
     assert 60 < log.truth.known().sum() < 120
+
+
+@pytest.mark.slow
+def test_the_page_has_the_drive_s_numbers() -> None:
+    """Scans, trunks a scan and scans with a fix, as docs/real-robots.md says them."""
+    log = victoria_park_raw(path=str(recorded("victoria_park")))
+    assert log.truth is not None
+    page = " ".join((Path(__file__).parents[2] / "docs" / "real-robots.md").read_text().split())
+    known = int(log.truth.known().sum())
+    assert f"finds trunks in {log.t.size} laser scans" in page
+    assert f"({known} scans, a thirteenth of the drive)" in page
+    assert round(log.t.size / known) == 13
+    assert "a trunk; six a scan)" in page
+    assert round(float(np.mean([each.ids.size for each in log.detections]))) == 6
