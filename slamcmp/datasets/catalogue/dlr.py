@@ -1,4 +1,4 @@
-"""The DLR spatial-cognition landmarks; no source reads them yet."""
+"""The DLR spatial-cognition landmarks."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ def _dlr() -> DataSet:
         required=("map.circles",),
         how=f"download the data set (map.circles) from {page}",
         size="1.6 MB (map.circles)",
+        use="{name: dlr, path: dlr}",
         notes=(
             "The robot's frame is -Y ahead and X to the right; id -1 is a landmark that nobody identified.",
             "There is no metric truth.",
