@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import drawn_from_results
 from make_figures import IMAGES, MATCHES, STUDY
 from sphinx.util.docutils import SphinxDirective
 
@@ -48,6 +49,7 @@ SHOWN_IN = {
     "victoria_park_gps": "real-robots.md",
 }
 """Shipped experiment: the page that discusses it."""
+NOT_RUN = "*Committed results:* none yet; its command is below.\n"
 GROUPS = {
     "": "Studies",
     "answer": "Filter or smooth? The whole study",
@@ -95,6 +97,13 @@ def experiment_text(name: str, path: Path) -> str:
     for image, (of, _) in MATCHES.items():
         if of == name:
             parts.append(f"![Matches of two images](images/{image})\n")
+    result = drawn_from_results.shown(name)
+    if result is not None:
+        if not images:
+            parts.append(f"{result.html()}\n")
+        parts.append(f"*Committed results:* {plain(result.sentence)}\n")
+    elif not images and not name.startswith("lecture/problem_"):
+        parts.append(NOT_RUN)
     others = [each for each in experiment.figures or () if each not in images.values()]
     if others:
         parts.append("Draws " + ", ".join(f"{title(each).lower()} (`{each}`)" for each in others) + ".\n")
@@ -103,6 +112,7 @@ def experiment_text(name: str, path: Path) -> str:
     if name.startswith("lecture/problem_"):
         number = name.split("_")[1]
         (worked,) = (DOCS / "lecture").glob(f"problem-{number}-*.md")
+        parts.append(f"![Problem {number}, worked](images/lecture_problem_{number}.png)\n")
         parts.append(f"Worked by hand: [](./lecture/{worked.name}).\n")
     if name in SHOWN_IN:
         parts.append(f"What it shows: [](./{SHOWN_IN[name]}).\n")

@@ -11,7 +11,7 @@ from slamcmp.errors import MissingDataError, UsageError
 from slamcmp.experiment.config.experiment import Experiment, parse_experiment
 from slamcmp.experiment.config.shipped import find_experiment
 from slamcmp.support.configuration.code_source import CodeSource
-from slamcmp.support.configuration.yaml_source import load_yaml
+from slamcmp.support.configuration.extended_yaml import load_extended
 from slamcmp.support.files.paths import is_dir, is_file
 
 TABLES = (".csv", ".parquet")
@@ -39,7 +39,7 @@ def load_problem(config: str | Path, settings: Sequence[str] = ()) -> Experiment
     if is_dir(path) or path.suffix in TABLES:
         return _parse(_recording(path), None, changes)
     found = find_experiment(str(config))
-    source = load_yaml(found)
+    source = load_extended(found)
     if not changes:
         return parse_experiment(source, found)
     return _parse(source.data, found, changes)

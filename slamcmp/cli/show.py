@@ -95,10 +95,11 @@ def _summaries(kind: str) -> list[tuple[str, str]]:
 
 def _experiments() -> list[tuple[str, str]]:
     from slamcmp.experiment.config.shipped import shipped_experiments
-    from slamcmp.support.configuration.yaml_source import load_yaml
+    from slamcmp.support.configuration.extended_yaml import load_extended
 
     return [
-        (name, str(load_yaml(path).data.get("question", ""))) for name, path in shipped_experiments().items()
+        (name, str(load_extended(path).data.get("question", "")))
+        for name, path in shipped_experiments().items()
     ]
 
 

@@ -122,3 +122,15 @@ def test_variations_are_of_parameters_that_the_source_has():
     changed = variations(problem())[0].of(problem())
     assert changed.source.parameters["odometry_scale"] == 2.0
     assert changed.source.parameters["steps"] == 20
+
+
+def test_a_file_over_another_is_a_problem_as_any(tmp_path):
+    (tmp_path / "base.yaml").write_text(
+        "source: {name: circle, landmarks: 7, steps: 20}\nback_ends: [{name: ekf_slam}]\n"
+        "sweep: {source.steps: [5]}\n"
+    )
+    (tmp_path / "own.yaml").write_text("extends: base.yaml\nsource: {landmarks: 9}\nsweep: null\n")
+    for settings, steps in (([], 20), (["source.steps=6"], 6)):
+        found = load_problem(str(tmp_path / "own.yaml"), settings)
+        assert (found.name, found.source.parameters["landmarks"]) == ("own", 9)
+        assert (found.source.parameters["steps"], dict(found.sweep)) == (steps, {})

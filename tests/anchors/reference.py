@@ -42,6 +42,8 @@ QUOTED = (
     "victoria_park",
     "plaza",
     "victoria_park_gps",
+    "range_only",
+    "bearing_only",
 )
 """Experiments whose numbers stand in ``docs/``."""
 OF_A_RUN = (

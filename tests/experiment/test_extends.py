@@ -104,3 +104,17 @@ def test_mistakes_are_told_with_the_file_and_line_they_stand_in(
 ) -> None:
     with pytest.raises(UsageError, match=f"(?m){said}"):
         load_experiment(write(tmp_path, **texts))
+
+
+def test_null_takes_an_inherited_key_away(tmp_path: Path) -> None:
+    own = "extends: base.yaml\nsweep: null\nquestion: null\nfront_end: {gate_probability: null}\n"
+    found = load_experiment(write(tmp_path, base=BASE, own=own))
+    assert not found.sweep
+    assert found.question == ""
+    # Below the top null is a value, that of "no gate" here.
+    assert found.front_end.parameters["gate_probability"] is None
+    # Nothing to take away: the mistake is told as in any file.
+    with pytest.raises(UsageError, match="sweep"):
+        load_experiment(
+            write(tmp_path, own="source: {name: circle}\nback_ends: [{name: ekf_slam}]\nsweep: null\n")
+        )

@@ -3,6 +3,7 @@
 Mappings are joined key by key, the file's own values over those of the one it extends; lists and single
 values are replaced whole, and so is a plug-in by one of another name. The experiment's own ``name`` is not
 taken over: two of one name would share a results folder. A relative path starts in the folder of its file.
+``sweep: null`` takes an inherited key at the top away.
 Keys at the top that begin with ``x-`` are for anchors and mean nothing.
 """
 
@@ -105,7 +106,8 @@ def load_extended(path: Path) -> YamlSource | ExtendedSource:
             and not key.startswith(PRIVATE)
             and (layer is layers[0] or key not in NOT_INHERITED)
         }
-        data = _joined(data, own)
+        gone = {key for key, value in own.items() if value is None and key in data}
+        data = {key: value for key, value in _joined(data, own).items() if key not in gone}
     if len(layers) == 1 and data == layers[0].data:
         return layers[0]
     return ExtendedSource(layers, data)
