@@ -1,4 +1,4 @@
-"""The advisor on ten cells of the study: the cells are the drawn ones, and it contradicts the study in none."""
+"""The advisor on ten cells of the study: they are the drawn ones, and it contradicts the study in none."""
 
 from __future__ import annotations
 
