@@ -107,19 +107,23 @@ def turned_about_the_common_motion(
     those that the map leaves far behind, which are wrong wherever they were looked for. It is empty where
     the map explains half of them by itself, to ``threshold_px``.
     """
-    ones = np.column_stack([first, np.ones(len(first))])
+    # About the middle and of unit size, so that normal equations of three unknowns lose no digits.
+    centre = first.mean(axis=0)
+    rows = np.ones((len(first), 3))
+    rows[:, :2] = (first - centre) / max(float(np.abs(first - centre).max()), 1e-9)
     near = np.ones(len(first), dtype=bool)
     for _ in range(3):
-        A = np.linalg.lstsq(ones[near], second[near], rcond=None)[0]
-        off = second - ones @ A
-        far = np.hypot(*off.T)
-        middle = float(np.median(far))
+        kept = rows[near]
+        A = np.linalg.solve(kept.T @ kept + 1e-9 * np.eye(3), kept.T @ second[near])
+        off = second - rows @ A
+        far = np.hypot(off[:, 0], off[:, 1])
+        middle = float(np.partition(far, len(far) // 2)[len(far) // 2])
         near = far <= _NEAR * middle
     if middle <= threshold_px:
         return np.zeros(len(first), dtype=bool), np.empty((0, 2))
     angles = np.add.outer(_ANGLES, _ANGLES[1] * np.arange(int(near.sum())))
     around = np.exp(1j * angles) * (off[near, 0] + 1j * off[near, 1])
-    return near, (ones[near] @ A + np.stack([around.real, around.imag], axis=-1)).reshape(-1, 2)
+    return near, (rows[near] @ A + np.stack([around.real, around.imag], axis=-1)).reshape(-1, 2)
 
 
 def _log_choose(n: int, k: int) -> float:
