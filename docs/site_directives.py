@@ -36,6 +36,7 @@ SHOWN_IN = {
     "filter_vs_smoother": "consistency.md",
     "kitti00_stereo": "vision.md",
     "kitti06": "recorded-images.md",
+    "kitti06_defaults": "vision.md",
     "mrclam": "real-robots.md",
     "mrclam_unknown": "without-labels.md",
     "observability": "consistency.md",

@@ -19,6 +19,7 @@ from tests.anchors.reference import read_runs
 NO_FIGURE = {
     "kitti00_stereo",
     "kitti06",
+    "kitti06_defaults",
     "map_size",
     "mrclam",
     "outliers",
