@@ -1,12 +1,14 @@
 """Tables with units in their headers: CSV and Parquet files of one's own log.
 
-A column is called by its quantity and its unit, ``t_ms``, ``bearing_deg``, ``sigma_range_m``; what is read is
-in seconds, metres and radians. The columns that mean something, and their units, stand in
-:data:`QUANTITIES` and :data:`UNITS`; others are left out, and that is told.
+A column is called by its quantity and its unit, ``t_ms``, ``bearing_deg``, ``sigma_range_m``, or with the
+unit in brackets, ``t [ms]``, ``bearing (deg)``, ``v [m/s]``; what is read is in seconds, metres and radians.
+The columns that mean something, and their units, stand in :data:`QUANTITIES` and :data:`UNITS`; others are
+left out, and that is told.
 """
 
 from __future__ import annotations
 
+import difflib
 import re
 from dataclasses import dataclass, field
 from math import pi
@@ -16,7 +18,6 @@ import numpy as np
 
 from slamcmp.datasets.text import number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
-from slamcmp.registry import did_you_mean
 from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray
 
@@ -44,6 +45,10 @@ QUANTITIES: dict[str, str] = {
     **dict.fromkeys(("cov_xtheta", "cov_ytheta"), "length times angle"),
     "cov_thetatheta": "angle, squared",
 }
+BRACKETED = re.compile(r"(\w+)\s*(?:\[([^\]]*)\]|\(([^)]*)\))")
+"""A quantity and its unit, as ``v [m/s]`` or ``v (m/s)``."""
+WRITTEN = {"°": "deg", "²": "2", "^2": "2", "µ": "u", "μ": "u", "/": "_", "*": "_", "·": "_", " ": "_"}
+"""Parts of written units, and what stands for them in :data:`UNITS`."""
 ID = "id"
 """A landmark's name: a whole number, empty where the sensor has none."""
 
@@ -88,6 +93,7 @@ def read_table(path: Path) -> Table:
     table = Table(path, {}, None, lines)
     for place, title in enumerate(header):
         texts = [row[place] for row in rows]
+        title = _joined(title)
         if title == ID:
             table.ids = [None if text == "" else whole(table.where(k), text) for k, text in enumerate(texts)]
         elif title in known:
@@ -101,10 +107,21 @@ def read_table(path: Path) -> Table:
             units = ", ".join(f"{title}_{unit}" for unit in UNITS[QUANTITIES[title]])
             raise DataError(f"{path}: column {title!r} has no unit; one of {units} is needed")
         else:
-            table.warnings.append(
-                f"{path.name}: column {title!r} is not used{did_you_mean(title, [*known, ID])}"
-            )
+            near = difflib.get_close_matches(title, [*known, ID], n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            table.warnings.append(f"{path.name}: column {header[place]!r} is not used{hint}")
     return table
+
+
+def _joined(title: str) -> str:
+    """``v [m/s]`` as ``v_m_s``; others as they are."""
+    found = BRACKETED.fullmatch(title)
+    if found is None:
+        return title
+    unit = (found[2] or found[3] or "").strip()
+    for written, part in WRITTEN.items():
+        unit = unit.replace(written, part)
+    return f"{found[1]}_{unit}" if unit else found[1]
 
 
 Raw = tuple[list[str], list[list[str]], list[int]]
