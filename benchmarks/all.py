@@ -62,6 +62,15 @@ def of_postponed(found: Any) -> list[tuple[str, float, float | None]]:
     return [(f"{row['active_landmarks']} active", row["ratio"], row["target"]) for row in found]
 
 
+def of_endurance(found: Any) -> list[tuple[str, float, float | None]]:
+    """What a frame costs when the run is twice as long, of those that promise a bound."""
+    return [
+        (f"{name}: a run twice as long", 2.0 ** each["exponent"], found["limit"])
+        for name, each in found["back_ends"].items()
+        if each["bounded"]
+    ]
+
+
 def of_monte_carlo(found: Any) -> list[tuple[str, float, float | None]]:
     plain, *others = found
     return [(row["way"], 1.0 / row["times_faster"], 0.2) for row in others if row is not plain]
@@ -130,6 +139,7 @@ BENCHMARKS: dict[str, tuple[tuple[str, ...], Reader | None]] = {
     "ekf": (("ekf.py", "--json"), of_ekf),
     "ekf without numba": (("ekf.py", "--plain", "--json"), of_ekf),
     "postponed": (("postponed.py", "--json"), of_postponed),
+    "endurance": (("endurance.py", "--frames", "20000", "--landmarks", "1000", "--json"), of_endurance),
     "monte_carlo": (("monte_carlo.py", "--runs", "10", "--json"), of_monte_carlo),
     "isam2": (("isam2.py", "--json"), of_isam2),
     "front_end": (("front_end.py", "--json"), of_front_end),

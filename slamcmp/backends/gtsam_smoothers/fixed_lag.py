@@ -27,6 +27,7 @@ from slamcmp.backends.gtsam_smoothers.robust_factors import (
     is_observation,
     replace_observations,
 )
+from slamcmp.backends.recent_landmarks import MOST_LANDMARKS, RecentLandmarks
 from slamcmp.backends.robust import RobustKernel
 from slamcmp.errors import UsageError
 from slamcmp.registry import back_ends
@@ -53,6 +54,9 @@ class FixedLag:
             not seen for ``lag_frames`` frames, and a later sighting starts a new variable with no memory of
             it (cost per frame stays flat, old landmarks close no loops). Where one measurement does not
             place a landmark (a single camera), a later sighting is dropped, and counted.
+        most_landmarks: with ``keep``: where the window holds more, those leave it as with ``drop`` that have
+            not been seen for longest, and not for ``lag_frames`` frames, so that a frame of a long run costs
+            what an early one does; null keeps every one, at a cost that grows with their number.
         relinearize_threshold: as in ``isam2``; for ``incremental``.
         relinearize_skip: as in ``isam2``; for ``incremental``.
         factorization: as in ``isam2``; for ``incremental``. Default: ``cholesky`` with ``keep``, where ``qr``
@@ -80,6 +84,7 @@ class FixedLag:
         lag_frames: Annotated[int, Ge(1)] = 20,
         mode: Literal["incremental", "batch"] = "incremental",
         landmarks: Literal["keep", "drop"] = "keep",
+        most_landmarks: Annotated[int, Ge(1)] | None = MOST_LANDMARKS,
         relinearize_threshold: Annotated[float, Ge(0)] = 0.1,
         relinearize_skip: Annotated[int, Ge(1)] = 1,
         factorization: Factorization | None = None,
@@ -91,6 +96,8 @@ class FixedLag:
         self._builder = GraphBuilder(problem, robust=robust, robust_width=robust_width)
         self._lag = lag_frames
         self._drop = landmarks == "drop"
+        bounded = most_landmarks is not None and not self._drop
+        self._recent = RecentLandmarks(most_landmarks) if bounded and most_landmarks else None
         self._incremental = mode == "incremental"
         self._extra_updates = extra_updates if self._incremental else 0
         self._smoother: Any
@@ -144,11 +151,14 @@ class FixedLag:
             seen += frame.entries.ids.tolist()
         for landmark_id in seen:
             self._last_seen[landmark_id] = k
+        leaving = self._too_many(frame)
         now = float(k)
         # A variable's time stamp decides when it leaves; kept landmarks are always as new as the frame.
         stamped = seen if self._drop else self._last_seen
         stamps = {self._builder.key(landmark_id): now for landmark_id in stamped}
         stamps[pose_key(k)] = now
+        # Older than the lag: they are marginalised in this update.
+        stamps.update((self._builder.key(landmark_id), now - self._lag - 1.0) for landmark_id in leaving)
         try:
             if self._builder.narrowing is None:
                 self._smoother.update(graph, values, stamps)
@@ -163,6 +173,9 @@ class FixedLag:
         self._t.append(frame.t)
         if k >= self._lag:
             self._left_poses.append(self._pose_at(pose_key(k - self._lag)).matrix())
+        for landmark_id in leaving:
+            del self._last_seen[landmark_id]
+            self._builder.known.discard(landmark_id)
         if self._drop:
             self._forget_and_remember(k)
 
@@ -273,6 +286,22 @@ class FixedLag:
             raise diverged("fixed_lag", k, error) from error
         return require_finite(covariance, "fixed_lag", k)
 
+    def _too_many(self, frame: Frame) -> list[int]:
+        """The landmarks that leave with this frame because they are too many, remembered as they stand."""
+        if self._recent is None:
+            return []
+        self._recent.see(frame)
+        held = self._builder.known
+        leaving = self._recent.too_many(held, unseen_since=max(frame.k - self._lag, 0)) if self._t else []
+        if leaving:
+            self._remember(leaving)
+        return leaving
+
+    def _remember(self, leaving: list[int]) -> None:
+        values = self._smoother.calculateEstimate([self._builder.key(i) for i in leaving])
+        for landmark_id in leaving:
+            self._left[landmark_id] = self._builder.map(values, self._covariance, [landmark_id])
+
     def _forget_and_remember(self, k: int) -> None:
         """Note the landmarks that left just now, and those whose last chance to be read this is."""
         oldest = k - self._lag
@@ -281,6 +310,4 @@ class FixedLag:
             self._builder.known.discard(landmark_id)
         leaving = [i for i, seen in self._last_seen.items() if seen == oldest]
         if leaving:
-            values = self._smoother.calculateEstimate([self._builder.key(i) for i in leaving])
-            for landmark_id in leaving:
-                self._left[landmark_id] = self._builder.map(values, self._covariance, [landmark_id])
+            self._remember(leaving)

@@ -35,6 +35,10 @@ from slamcmp.types import Estimate, FloatArray, Frame, IntArray, Landmarks, Prob
 class Isam2:
     """iSAM2: re-solves only the part of the Bayes tree that a frame touches.
 
+    Nothing leaves the graph: memory grows with the length of the run, and with every place that is seen again
+    so does the part that a frame touches. For runs without an end take ``fixed_lag`` or ``sliding_window``,
+    whose frames stay bounded.
+
     Args:
         problem: prior and sensor.
         relinearize_threshold: a variable is linearised anew when its step exceeds this (m and rad alike).

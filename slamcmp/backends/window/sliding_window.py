@@ -36,6 +36,7 @@ from annotated_types import Ge, Gt
 from slamcmp.backends.doubtful import DoubtfulLandmarks
 from slamcmp.backends.entries import entering, has_blind_side, placed, places_by_itself, with_image
 from slamcmp.backends.fit import MAX_CHI2_PER_DOF, require_fit, require_majority
+from slamcmp.backends.recent_landmarks import MOST_LANDMARKS, RecentLandmarks
 from slamcmp.backends.relaxation import relaxed_share
 from slamcmp.backends.robust import DOUBTED, Kernel, RobustKernel, robust_kernel
 from slamcmp.backends.unanchored import Linearisation
@@ -58,7 +59,8 @@ REWEIGHTED = 3
 class SlidingWindow:
     """Fixed-lag smoothing of the last poses and all landmarks, by Gauss-Newton with exact marginalisation.
 
-    Every frame costs O(w (n L)²+ (n L)³) an iteration for w poses and L landmarks; with ``window: null``
+    Every frame costs O(w (n L)²+ (n L)³) an iteration for w poses and L landmarks in the state, which
+    ``most_landmarks`` bounds, so a frame of a long run costs what an early one does; with ``window: null``
     w is the number of frames so far, so a run is quadratic in its length (hundreds of frames, not tens of
     thousands).
 
@@ -75,6 +77,9 @@ class SlidingWindow:
         landmarks: "keep" all in the state, or "drop_unseen": marginalise those that no pose of the window
             has seen; seen again, they start anew (where one measurement does not place a landmark, as a
             single camera's does not, what is measured of it is dropped, and counted).
+        most_landmarks: with "keep": where there are more in the state, those leave it that have not been seen
+            for longest and that no pose of the window sees, as with "drop_unseen" with a marginal prior; null
+            keeps every one, at a cost that grows with the cube of their number.
         max_chi2_per_dof: as in ``batch``: a final solution above it counts as diverged.
         robust: kernel on the observations' whitened residuals (robust.py): each iteration takes the weights
             of the residuals where it begins, the newest frame's under one kernel after the other where the
@@ -98,6 +103,7 @@ class SlidingWindow:
         tolerance: Annotated[float, Gt(0)] = 1e-6,
         linearisation: Policy = "latest",
         landmarks: Literal["keep", "drop_unseen"] = "keep",
+        most_landmarks: Annotated[int, Ge(1)] | None = MOST_LANDMARKS,
         max_chi2_per_dof: Annotated[float, Gt(0)] = MAX_CHI2_PER_DOF,
         robust: RobustKernel = "none",
         robust_width: Annotated[float, Gt(0)] | None = None,
@@ -112,6 +118,7 @@ class SlidingWindow:
         # Weights take more than one step, even of a cost that is linear.
         self._one_step = iterations == 1 or (self._frozen and self._kernel is None)
         self._drop_unseen = landmarks == "drop_unseen"
+        self._recent = None if most_landmarks is None else RecentLandmarks(most_landmarks)
         self._max_chi2_per_dof = max_chi2_per_dof
         self._solution: Solution
         self._chi2: float | None = None
@@ -137,6 +144,8 @@ class SlidingWindow:
         if frame.k > 0:
             window.append_pose(frame)
         self._t.append(frame.t)
+        if self._recent is not None:
+            self._recent.see(frame)
         unknown = np.array([landmark not in window.number for landmark in frame.ids.tolist()], dtype=bool)
         entries = entering(frame, unknown, sensor)
         self._dropped = entries.dropped + self._without_image(frame, frame.ids[~unknown])
@@ -162,6 +171,9 @@ class SlidingWindow:
         window.marginalise_oldest_pose()
         if self._drop_unseen:
             window.marginalise_unseen()
+        elif self._recent is not None:
+            first = len(self._t) - len(window.T)
+            window.marginalise_unseen(self._recent.too_many(window.number, unseen_since=first))
         window.centre_prior()
 
     def solve(self) -> None:

@@ -287,17 +287,20 @@ class Window:
         self.measurements = rows.renumbered(rows.pose_of - 1, rows.landmark_of)
         self.points.pose_pinned, self.points.landmarks_pinned = True, known
 
-    def marginalise_unseen(self) -> None:
-        """The same for the landmarks that no pose has seen.
+    def marginalise_unseen(self, ids: list[int] | None = None) -> None:
+        """The same for the landmarks that no pose has seen; with ``ids`` for these of them.
 
         Raises:
             DivergedError: a landmark is not determined.
         """
         rows = self.measurements
-        seen = np.zeros(len(self.landmarks), dtype=bool)
-        seen[rows.landmark_of] = True
-        if not seen.all():
-            self._keep(seen)
+        stays = np.zeros(len(self.landmarks), dtype=bool)
+        if ids is not None:
+            stays[:] = True
+            stays[self.numbers_of(np.array(ids, dtype=np.int64))] = False
+        stays[rows.landmark_of] = True
+        if not stays.all():
+            self._keep(stays)
 
     def forget(self, ids: list[int]) -> None:
         """Take these landmarks out of the window, with all that was measured of them.
