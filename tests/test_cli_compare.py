@@ -87,6 +87,14 @@ def test_other_streams_are_refused_and_wrong_inputs_told(call: Command) -> None:
         assert error.count("\n") == 1
 
 
+def test_of_three_folders_the_one_that_cannot_be_compared_does_not_hide_the_other(call: Command) -> None:
+    code, out, error = call("compare", "before", "other", "after", "--metric", "online_ate")
+    assert code == 2
+    assert "results/after against results/before" in out
+    assert "results/other" not in out
+    assert "results/before and results/other cannot be compared" in error
+
+
 def test_markdown_and_page_are_written(call: Command, folders: Path) -> None:
     assert call("compare", "before", "after", "--format", "html", "--output", "out.html")[:2] == (
         0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -207,6 +208,18 @@ def test_what_differs_is_named_by_its_key() -> None:
 def test_a_condition_that_cannot_be_read_says_what_can(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         parse_condition(text, metric_columns())
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["online ATE worse by 5%", "Online ATE [m]  worse by more than 5 %", "online-ate worse by >5%"],
+)
+def test_a_condition_reads_as_people_write_it(text: str) -> None:
+    found = parse_condition(text, metric_columns())
+    plain = parse_condition("online_ate worse by 5%", metric_columns())
+    assert dataclasses.replace(found, text=plain.text) == plain
+    aligned = parse_condition("final ATE, SE-aligned differs by over 2 cm", metric_columns())
+    assert (aligned.metric, aligned.amount, aligned.relative) == ("final_ate_aligned", 0.02, False)
 
 
 def test_a_metric_that_nobody_has_is_an_error_and_not_a_pass() -> None:

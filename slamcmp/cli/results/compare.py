@@ -94,6 +94,7 @@ def compare(
     amount, or, where there are too few pairs for an interval, the estimate is. Runs that finished in the base
     only count as worse.
     """
+    from slamcmp.errors import UsageError
     from slamcmp.metrics import metric_columns
     from slamcmp.report.comparison import comparison_html, comparison_markdown
     from slamcmp.results.compare.comparison import DEFAULT_METRICS, compare_results, judge_condition
@@ -114,7 +115,14 @@ def compare(
             if all(name in each.trials and each.trials[name].notna().any() for each in (before, *after))
         ]
         asked = list(dict.fromkeys([*there, *(each.metric for each in conditions)]))
-    found = [compare_results(before, each, asked, back_ends=back_end, names=names) for each in after]
+    found, refused = [], []
+    for each in after:
+        try:
+            found.append(compare_results(before, each, asked, back_ends=back_end, names=names))
+        except UsageError as error:
+            refused.append(error)
+    if not found:
+        raise refused[0]
     judgements = [judge_condition(each, found, evidence.value) for each in conditions]
     kind = Format.json if as_json else output_format
     if kind is Format.text and output is None:
@@ -130,6 +138,9 @@ def compare(
         else:
             write_atomically(output, lambda file: file.write(text.encode("utf-8", "replace")))
             print(output)
+    if refused:
+        # Those that can be compared stand above; that one cannot is a mistake of the line all the same.
+        raise UsageError("; ".join(map(str, refused)))
     if any(each.fails for each in judgements):
         raise typer.Exit(1)
 

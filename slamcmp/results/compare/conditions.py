@@ -1,6 +1,7 @@
 """``online_ate worse by 5%``: when a comparison is to fail a build.
 
-A condition reads ``METRIC worse|better|differs by NUMBER[%|UNIT]``. With % it is about the ratio of the two
+A condition reads ``METRIC worse|better|differs by [more than] NUMBER[%|UNIT]``, the metric by its name or
+as tables head it (``online ATE``). With % it is about the ratio of the two
 (geometric mean over the pairs): an error is 5 % worse above 1.05 and 5 % better below 0.95 times the other.
 With the metric's unit it is about their difference (median over the pairs).
 """
@@ -17,7 +18,7 @@ from slamcmp.registry import did_you_mean
 
 GRAMMAR = "METRIC worse|better|differs by X% or X UNIT, e.g. 'online_ate worse by 5%' or '… by 0.01 m'"
 _CONDITION = re.compile(
-    r"(?P<metric>\S+)\s+(?P<direction>\S+)\s+by\s+(?P<amount>[0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>\S*)"
+    r"(?P<metric>\S.*?)\s+(?P<direction>\S+)\s+by\s+(?:(?:more\s+than|over)\s+|>\s*)?(?P<amount>[0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>\S*)"
 )
 DIRECTIONS = ("worse", "better", "differs")
 SCALES = {"m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "s": {"s": 1.0, "ms": 1e-3}, "ms": {"ms": 1.0, "s": 1e3}}
@@ -52,6 +53,19 @@ class Condition:
         return 1.0 + self.amount, 1.0 - self.amount
 
 
+def _named(text: str, metrics: Mapping[str, MetricColumn]) -> str:
+    """The metric's name, also of its heading; what is neither stays as it is."""
+    if text in metrics:
+        return text
+    known = {_key(f"{each.trajectory} {each.header}"): name for name, each in metrics.items()}
+    return {**known, **{_key(name): name for name in metrics}}.get(_key(text), text)
+
+
+def _key(text: str) -> str:
+    """Small letters and digits: case, spaces and a unit in brackets do not matter."""
+    return re.sub(r"[^a-z0-9χ²]+", "_", re.sub(r"\[.*?\]", "", text.lower())).strip("_")
+
+
 def parse_condition(text: str, metrics: Mapping[str, MetricColumn]) -> Condition:
     """A condition from the command line.
 
@@ -63,7 +77,7 @@ def parse_condition(text: str, metrics: Mapping[str, MetricColumn]) -> Condition
     match = _CONDITION.fullmatch(text.strip())
     if match is None:
         raise UsageError(f"{where}: expected {GRAMMAR}")
-    metric, direction, unit = match["metric"], match["direction"], match["unit"]
+    metric, direction, unit = _named(match["metric"], metrics), match["direction"], match["unit"]
     if metric not in metrics:
         raise UsageError(f"{where}: there is no metric {metric!r}{did_you_mean(metric, metrics)}")
     if direction not in DIRECTIONS:
