@@ -7,6 +7,7 @@ import math
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.patches import Ellipse, Rectangle
@@ -21,7 +22,7 @@ from slamcmp.report.figures.drawable import NotDrawable, typical_trial
 from slamcmp.report.figures.runs.consistency import binned_nis, plot_consistency
 from slamcmp.report.figures.runs.errors import plot_errors
 from slamcmp.report.figures.runs.map import ellipse_95, plot_map
-from slamcmp.report.figures.runs.time import binned_times, plot_time
+from slamcmp.report.figures.runs.time import binned_times, fitted_law, plot_time
 from slamcmp.report.figures.sweeps.budget import budget_points, plot_budget
 from slamcmp.report.figures.sweeps.sweep import plot_sweep
 from slamcmp.report.html import report_html
@@ -150,6 +151,22 @@ def test_time_is_the_median_of_its_group(swept):
     assert [axes.get_ylabel() for axes in figure.axes[::2]] == ["update [ms]", "estimate [ms]"]
     assert figure.axes[3].get_xlabel() == "landmarks in the map"
     np.testing.assert_allclose(figure.axes[1].lines[3].get_ydata(), median)
+
+
+def test_the_law_of_a_long_runs_cost_is_that_of_its_second_half(one_trial):
+    k = np.linspace(10.0, 2990.0, 60)
+    cost = np.where(k < 1400, 5.0, 0.3 * k**0.7)
+    a, b, late = fitted_law(k, cost)
+    assert (a, b) == (pytest.approx(0.3), pytest.approx(0.7))
+    assert k[late].min() >= 1495.0
+    assert fitted_law(k[:10], cost[:10]) is None
+    # A run of 2400 frames whose update costs as the square root of the frame.
+    own = one_trial.frames[one_trial.frames["label"] == "isam2"]
+    long = pd.concat([own.assign(k=own["k"] + len(own) * lap) for lap in range(20)])
+    long["update_s"], long["estimate_s"] = 1e-4 * np.sqrt(long["k"] + 1.0), 1e-3
+    figure = plot_time(dataclasses.replace(one_trial, frames=long))
+    told = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "isam2: update $k^{0.5}$, estimate $k^{0.0}$" in told
 
 
 def test_budget_counts_what_each_trajectory_needs(one_trial):

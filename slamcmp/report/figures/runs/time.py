@@ -15,6 +15,8 @@ from slamcmp.results.grid import at_point, has_values, labels, middle_point, poi
 from slamcmp.results.store import Results
 
 BINS = 60
+LONG = 1000
+"""Frames of a run from which on the law of its cost is fitted."""
 
 
 @figures.register(
@@ -24,7 +26,9 @@ BINS = 60
     caption=(
         "Wall time of a frame, in groups of neighbouring frames (left) or of equal map size (right, over "
         "all grid points). Line: median; pale line: 95th percentile. Update and estimate are apart, "
-        "because recovering a covariance can cost a smoother more than its update. One BLAS thread."
+        "because recovering a covariance can cost a smoother more than its update. Dashed, in runs of 1000 "
+        "frames and more: the law a k^b that fits the medians of the second half; b stands in the legend, "
+        "and near 0 a frame costs what an early one does. One BLAS thread."
     ),
 )
 def plot_time(results: Results) -> Figure:
@@ -50,8 +54,9 @@ def plot_time(results: Results) -> Figure:
         grid[0, 1].set_title("against the size of the map")
         grid[-1, 1].set_xlabel("landmarks in the map")
     colours = style.colours(results)
-    keys = [style.line_key(label, color=colours[label]) for label in labels(results)]
-    style.legend_below(figure, keys)
+    laws = _laws_in_words(here, kinds)
+    keys = [style.line_key(label + laws.get(label, ""), color=colours[label]) for label in labels(results)]
+    style.legend_below(figure, keys, columns=2 if laws else 6)
     return figure
 
 
@@ -73,6 +78,36 @@ def binned_times(
     )
 
 
+def fitted_law(
+    position: NDArray[np.float64], median: NDArray[np.float64]
+) -> tuple[float, float, NDArray[np.bool_]] | None:
+    """a [ms] and b of ``a k^b``, by least squares on logarithms over the second half of the frames; where.
+
+    None where the run is shorter than :data:`LONG`, or costs nothing that a clock could see.
+    """
+    late = (position >= position.max() / 2) & (median > 0)
+    if position.max() + 1 < LONG or late.sum() < 3:
+        return None
+    b, log_a = np.polyfit(np.log(position[late]), np.log(median[late]), 1)
+    return float(np.exp(log_a)), float(b), late
+
+
+def _laws_in_words(table: pd.DataFrame, kinds: list[str]) -> dict[str, str]:
+    """For the legend: of each back end with a long run the exponents, ``: update k^0.9, estimate k^0.0``."""
+    told = {}
+    for label, own in table.groupby("label"):
+        laws = [(kind, fitted_law(*binned_times(own, "k", kind)[:2])) for kind in kinds]
+        words = [
+            # No minus before a zero.
+            f"{kind.removesuffix('_s')} $k^{{{round(law[1], 1) + 0.0:.1f}}}$"
+            for kind, law in laws
+            if law is not None
+        ]
+        if words:
+            told[str(label)] = f": {', '.join(words)}"
+    return told
+
+
 def _draw_times(axes: Axes, results: Results, table: pd.DataFrame, against: str, kind: str) -> None:
     for label, colour in style.colours(results).items():
         own = table[table["label"] == label]
@@ -81,4 +116,8 @@ def _draw_times(axes: Axes, results: Results, table: pd.DataFrame, against: str,
         position, median, high = binned_times(own, against, kind)
         axes.plot(position, high, color=colour, alpha=0.4, linewidth=0.8)
         axes.plot(position, median, color=colour, linewidth=style.widths(results)[label])
+        law = fitted_law(position, median) if against == "k" else None
+        if law is not None:
+            a, b, late = law
+            axes.plot(position[late], a * position[late] ** b, color=colour, linewidth=1.2, linestyle="--")
     style.log_axis(axes)
