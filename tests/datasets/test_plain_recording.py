@@ -372,6 +372,21 @@ def test_biased_and_wrong_detections(tmp_path):
     assert any("range is the farthest of 40 outliers (3.4 %) beyond 5 sigma" in each for each in found), found
 
 
+def test_without_places_of_landmarks_their_own_sightings_place_them(tmp_path):
+    """Medians: the outliers are the same forty, and their share of the sightings is no bias."""
+    files = Drive(outliers=40).write(tmp_path)
+    report = check_files([path for name, path in files.items() if name != "landmarks"])
+    assert any(
+        "range is the farthest of 40 outliers (3.4 %) beyond 5 sigma" in each for each in report.findings
+    )
+    assert not any("off in the median" in each for each in report.findings)
+    told = [fact for fact in report.facts if "landmarks placed by their own sightings" in fact]
+    with_places = check_files(list(files.values())).errors
+    assert len(told) == 2
+    for name, own in report.errors.items():
+        assert own.sigma == pytest.approx(with_places[name].sigma, rel=0.1)
+
+
 def test_the_command_says_what_is_wrong(tmp_path, capsys):
     files = [str(path) for path in Drive(distance_scale=0.9).write(tmp_path).values()]
     with pytest.raises(SystemExit) as ended:

@@ -18,6 +18,7 @@ from slamcmp.datasets.plain.clock_offset import LARGE_S, ClockOffset, clock_offs
 from slamcmp.datasets.plain.column_files import Table, read_table
 from slamcmp.datasets.plain.plain_motion import KINDS, Motion, read_motion
 from slamcmp.datasets.plain.plain_roles import Role, roles_of
+from slamcmp.datasets.plain.seen_places import seen_places
 from slamcmp.datasets.trajectories import poses_at, read_tum_trajectory
 from slamcmp.errors import SlamcmpError
 from slamcmp.geometry import se2, wrap
@@ -127,7 +128,7 @@ def check_files(
         _against_truth(log.odometry[1], log.truth, report)
     if log.detections is not None:
         _landmarks(log.detections, log.landmarks, report)
-    if log.detections is not None and log.truth is not None and log.landmarks is not None:
+    if log.detections is not None and log.truth is not None:
         _innovations(log.detections, log.truth, log.landmarks, report)
     return report
 
@@ -319,24 +320,31 @@ def _landmarks(table: Table, sites: Table | None, report: Report) -> None:
 
 
 def _innovations(
-    table: Table, truth: tuple[Path, FloatArray, FloatArray], sites: Table, report: Report
+    table: Table, truth: tuple[Path, FloatArray, FloatArray], sites: Table | None, report: Report
 ) -> None:
-    """Errors of each component against true poses and landmarks."""
-    if table.ids is None or sites.ids is None or not sites.has("x", "y"):
+    """Errors of each component against true poses and landmarks, or against where they were seen."""
+    if table.ids is None or "t" not in table.columns:
         return
     _, stamps, poses = truth
     spatial = np.tile(np.eye(4), (stamps.size, 1, 1))
     spatial[:, :2, :2] = se2(*poses.T)[:, :2, :2]
     spatial[:, :2, 3] = poses[:, :2]
     at = poses_at(table.columns["t"], stamps, spatial)
-    place = {name: k for k, name in enumerate(sites.ids)}
+    if sites is None:
+        place = seen_places(table, at)
+        told = ", landmarks placed by their own sightings"
+    elif sites.ids is not None and sites.has("x", "y"):
+        places = np.stack([sites.columns["x"], sites.columns["y"]], axis=1)
+        named = zip(sites.ids, places, strict=True)
+        place, told = {name: xy for name, xy in named if name is not None}, ""
+    else:
+        return
     rows = np.array(
         [k for k, name in enumerate(table.ids) if name in place and np.isfinite(at[k]).all()], dtype=np.int64
     )
     if rows.size < 20:
         return
-    which = [place[table.ids[k]] for k in rows.tolist()]
-    away = np.stack([sites.columns["x"][which], sites.columns["y"][which]], axis=1) - at[rows, :2, 3]
+    away = np.stack([place[table.ids[k]] for k in rows.tolist()]) - at[rows, :2, 3]
     body = np.einsum("kji,kj->ki", at[rows, :2, :2], away)
     expected = {
         "range": np.hypot(*body.T),
@@ -353,7 +361,8 @@ def _innovations(
         sigma = 1.4826 * float(np.median(np.abs(error - middle)))
         report.errors[name] = ComponentErrors(unit, table.columns["t"][rows], error, middle, sigma)
         report.facts.append(
-            f"{name}: error {middle:+.3g} {unit}, sigma {sigma:.3g} {unit} (robust), {rows.size} detections"
+            f"{name}: error {middle:+.3g} {unit}, sigma {sigma:.3g} {unit} (robust), {rows.size} "
+            f"detections{told}"
         )
         # Of the median of n normal errors the standard error is 1.25 sigma / sqrt(n).
         if abs(middle) > max(LARGE_BIAS, 5 * 1.25 / np.sqrt(rows.size)) * sigma > 0:
