@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from slamcmp.datasets.images.euroc import euroc
 from slamcmp.datasets.images.kitti_odometry import kitti_odometry
 from slamcmp.datasets.images.seven_scenes import seven_scenes
 from slamcmp.datasets.images.tum_rgbd import tum_rgbd
-from slamcmp.geometry import dead_reckoning, hat, inverse, so3_log
+from slamcmp.geometry import dead_reckoning, hat, inverse, local, so3_log
 from slamcmp.models.camera import FORWARD_CAMERA
 from slamcmp.registry import sources
 from slamcmp.types import Log
@@ -255,3 +257,14 @@ def test_euroc_pairs_lie_on_rows() -> None:
         depth = log.problem.sensor.invert(np.eye(4), np.column_stack([left[:, 0], right[:, 0], left[:, 1]]))
         assert (left[:, 0] - right[:, 0] > 0).all()
         assert 0.5 < np.median(np.linalg.norm(depth, axis=1)) < 5.0
+
+
+def test_on_kittis_straight_piece_a_clock_s_offset_cannot_be_told() -> None:
+    """About and along each axis its motion changes by less than the noise of the odometry hides."""
+    log = kitti_odometry(0, folder=str(recorded("kitti06_first51")))
+    T = log.truth.T_world_body
+    motion = np.array([local(first, second) for first, second in pairwise(T)])
+    k = np.arange(len(motion))
+    changes = motion - np.stack([np.polyval(np.polyfit(k, each, 1), k) for each in motion.T], axis=1)
+    sigmas = np.sqrt(np.diagonal(log.Q[1:], axis1=1, axis2=2).mean(axis=0))
+    assert (changes.std(axis=0) < 0.7 * sigmas).all()

@@ -85,6 +85,9 @@ _EXCHANGES = (0.236, 0.382, 0.618)
 far, for neighbours in the list may be neighbours in the image."""
 _SIGMAS, _CONFIDENCE = 2.0, 0.999
 """By how many deviations of a count inliers must be more than those of such partners; of their sampling."""
+_MANY, _NEARLY_ALL = 60, 0.9
+"""Matches, and their share: partners in a window wider than the tolerance, of which a line through its middle
+takes three quarters at most, never agree like that."""
 _TURNED_OVER = -0.5
 """Of the correlation below: a mirrored image's is -0.7 to -1, of pairs of a moving camera above 0."""
 
@@ -221,32 +224,44 @@ def _more_than_chance(
         assert F is not None
         sample, probability = fundamental.SAMPLE, chance_on_line(first, second, threshold_px)
         exchanged = fundamental.sampson_distance(F, of_first, others) <= threshold_px
-    apart_px = max(5.0 * threshold_px, 5.0)
     probability = max(probability, float(exchanged.mean()))
+    apart_px = max(5.0 * threshold_px, 5.0)
     by_areas = significant(first, second, inliers, sample=sample, probability=probability, apart_px=apart_px)
-    if not by_areas:
-        return False
+    if not by_areas or (len(first) >= _MANY and inliers.mean() >= _NEARLY_ALL):
+        return by_areas
     near, turned = turned_about_the_common_motion(first, second, radius)
-    if not near.any():
-        return True
-    first, second, inliers = first[near], second[near], inliers[near]
+    return not near.any() or _more_than_in_a_window(
+        first[near], turned, second[near], inliers[near], threshold_px, F=F, H=H, least=probability
+    )
+
+
+def _more_than_in_a_window(
+    first: FloatArray,
+    turned: FloatArray,
+    second: FloatArray,
+    inliers: BoolArray,
+    threshold_px: float,
+    *,
+    F: FloatArray | None,
+    H: FloatArray | None,
+    least: float,
+) -> bool:
+    """Whether more of the matches (k, 2) and (k, 2) agree than do of partners ``turned``, (TURNS k, 2).
+
+    ``least`` is the chance by areas. The bound that it goes into is generous where a chance is large; what
+    the best model of such partners has is not, and is counted then.
+    """
+    count, radius = len(first), _HOMOGRAPHY_FACTOR * threshold_px
+    sample = _HOMOGRAPHY_SAMPLE if F is None else fundamental.SAMPLE
     of_first = np.tile(first, (TURNS, 1))
     if F is not None:
         agree = fundamental.sampson_distance(F, of_first, turned) <= threshold_px
     else:
         assert H is not None
         agree = transfer_distance(H, of_first, turned) <= radius
-    if significant(
-        first,
-        second,
-        inliers,
-        sample=sample,
-        probability=max(probability, float(agree.mean())),
-        apart_px=apart_px,
-    ):
+    chance, apart_px = max(least, float(agree.mean())), max(5.0 * threshold_px, 5.0)
+    if significant(first, second, inliers, sample=sample, probability=chance, apart_px=apart_px):
         return True
-    # The bound is generous where a chance is large; what the best model of such partners has is not.
-    count = len(first)
     for seed, partners in enumerate(turned.reshape(TURNS, count, 2)):
         if F is not None:
             agree = fundamental.magsac(first, partners, seed, threshold_px=threshold_px).inliers
