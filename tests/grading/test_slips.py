@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -37,6 +37,11 @@ def turned(mean, angles):
     return total
 
 
+def near(mean, P, y, C, R):
+    distance = y - C @ mean
+    return distance, bool(distance @ distance < 3 * len(distance))
+
+
 def run(mean, P, observations, C, R):
     means = []
     for y in observations:
@@ -44,7 +49,7 @@ def run(mean, P, observations, C, R):
         means.append(mean)
     return np.array(means)
 '''
-ASKED = frozenset({"update", "turned", "run"})
+ASKED = frozenset({"update", "turned", "near", "run"})
 
 
 def module(source: str) -> ModuleType:
@@ -65,6 +70,7 @@ def calls_of(source: str, function: str) -> list[Remembered]:
         C, R = generator.normal(size=(2, 3)), covariance(generator, 2)
         arguments = {
             "update": (mean, P, generator.normal(size=2), C, R),
+            "near": (mean, P, generator.normal(size=2), C, R),
             "turned": (mean, generator.uniform(-3, 3, size=4)),
             "run": (mean, P, generator.normal(size=(5, 2)), C, R),
         }[function]
@@ -113,6 +119,24 @@ def said(old: str, new: str, function: str) -> str:
         ("in range(len(angles))", "in range(len(angles) - 1)", "turned", "the last of several were left out"),
         ("mean, P = update(", "mean, _ = update(", "run", "one of several answers were not taken over"),
         ("in observations", "in observations[1:]", "run", "the first of several were left out"),
+        ("np.linalg.solve(S, PC).T", "np.linalg.solve(S, PC).T / 2", "update", "something counted half (or"),
+        ("(y - C @ mean)", "(y - mean[: len(y)])", "update", "a factor were left out, in the part with C"),
+        ("cos(angles[number])", "cos(angles[0])", "turned", "the first of several stood for all of them"),
+        (
+            "cos(angles[number]) * mean[0]",
+            "cos(angles[number] * mean[0])",
+            "turned",
+            "a parenthesis stood in",
+        ),
+        ("means.append(mean)", "means.insert(0, mean)", "run", "what is new were put in front"),
+        ("mean, P = update(", "mean[:], P[:] = update(", "run", "what was kept were overwritten in place"),
+        ("means = []", "means = [mean]", "run", "a list began with something in it"),
+        (
+            "        mean, P = update(mean, P, y, C, R)\n        means.append(mean)\n",
+            "        means.append(mean)\n        mean, P = update(mean, P, y, C, R)\n",
+            "run",
+            "two of its steps stood in the other order",
+        ),
     ],
 )
 def test_a_slip_is_known_by_its_answers(old: str, new: str, function: str, wanted: str) -> None:
@@ -127,6 +151,7 @@ def test_a_slip_is_known_by_its_answers(old: str, new: str, function: str, wante
         ("P - gain @ C @ P", "np.nan * P", "update"),
         ("mean + gain @ (y - C @ mean), P - gain @ C @ P", "0 * mean, 0 * P", "update"),
         ("means.append(mean)", "means.append(mean + y[0])", "run"),
+        ("distance < 3 *", "distance > 3 *", "near"),
         ("total = np.zeros(2)", "raise ValueError('no')", "turned"),
         ("total = np.zeros(2)", "total = np.zeros(2) + 0.0", "turned"),
     ],
@@ -152,6 +177,65 @@ def test_who_is_called_is_to_blame() -> None:
     assert search.others_to_blame("run", calls)
     assert not search.others_to_blame("update", calls)
     assert not search.others_to_blame("run", calls_of(wrong, "run")), "update was never seen alone"
+
+
+WALKER = """
+import numpy as np
+from slamcmp.types import Estimate
+
+
+class Walker:
+    def __init__(self):
+        self.T, self.P = np.eye(3), np.eye(3)
+        self.way = []
+
+    def update(self, frame):
+        if frame.k > 0:
+            self._move(frame)
+        self.way.append(frame.k)
+
+    def _move(self, frame):
+        G = np.eye(3)
+        G[0, 2] = frame.x
+        G[1, :2] = frame.far[2:]
+        self.T = self.T @ np.array([[1.0, 0.0, frame.x], [0.0, 1.0, frame.y], [0.0, 0.0, 1.0]])
+        self.P = G @ self.P @ G.T + frame.Q
+
+    def estimate(self):
+        return Estimate(self.T, self.P[:3, :3] * len(self.way))
+"""
+
+
+def said_of_walker(old: str, new: str) -> str:
+    assert WALKER.count(old) == 1
+    asked = Remembering(TrustedImplementation(module(WALKER.replace(old, new))))
+    generator = np.random.default_rng(5)
+    for _ in range(2):
+        walker = asked.construct("Walker", None)
+        for k in range(20):
+            x, y, *far = generator.normal(size=6)
+            frame = SimpleNamespace(k=k, x=x, y=y, far=np.array(far), Q=covariance(generator, 3))
+            asked.step(walker, frame)  # type: ignore[arg-type]
+    return SlipSearch(WALKER, frozenset({"Walker"})).said_of("Walker", asked.drives)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "wanted"),
+    [
+        ("if frame.k > 0:", "if frame.k > 1:", "a number in it were another one"),
+        ("G @ self.P @ G.T", "G.T @ self.P @ G.T", "a matrix stood where its transpose belongs"),
+        ("+ frame.Q", "- frame.Q", "a sign were turned round"),
+        ("* len(self.way)", "", "a factor were left out"),
+        ("frame.far[2:]", "frame.far[:-2]", "an index counted from the other end"),
+        # What no slip does, and what shows in nothing.
+        ("+ frame.Q", "+ 1.37 * frame.Q", ""),
+        ("self.way.append(frame.k)", "self.way.append(0)", ""),
+        ("self.T = self.T @", "self.T = np.nan *", ""),
+    ],
+)
+def test_a_slip_in_a_class_is_known_by_its_drives(old: str, new: str, wanted: str) -> None:
+    said = said_of_walker(old, new)
+    assert said.startswith(wanted) if wanted else said == ""
 
 
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml")))

@@ -25,6 +25,8 @@ REMEMBERED = 4000
 REMEMBERED_BYTES = 32 << 20
 """Of their arrays, unless said otherwise."""
 
+DRIVES, DRIVE_STEPS = 4, 60
+"""Objects of which the frames are kept too, and so many of each."""
 
 PARTS_MAX = 5000
 """Arrays, numbers and texts that an answer may hold."""
@@ -136,6 +138,29 @@ class Remembered:
     """For an exception its description, a text."""
 
 
+@dataclass(frozen=True)
+class DriveStep:
+    """One frame handed to an object, and what it told then."""
+
+    frame: Frame | None
+    landmarks: bool
+    joint_covariance: bool
+    answer: Any
+    """As of :class:`Remembered`."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One object with the frames handed to it, in their order."""
+
+    name: str
+    """Of its class."""
+    problem: Problem | None
+    parameters: Mapping[str, Any] | None
+    handle: Any
+    steps: list[DriveStep]
+
+
 class Remembering:
     """Passes everything on and keeps the answers in their order."""
 
@@ -147,6 +172,7 @@ class Remembering:
         self._bytes_max = bytes_max
         self._bytes = 0
         self.answers: list[Remembered] = []
+        self.drives: list[Drive] = []
 
     def call(self, name: str, *arguments: Any) -> Any:
         try:
@@ -160,24 +186,29 @@ class Remembering:
     def construct(
         self, name: str, problem: Problem | None = None, parameters: Mapping[str, Any] | None = None
     ) -> Any:
-        return self._inner.construct(name, problem, parameters)
+        handle = self._inner.construct(name, problem, parameters)
+        if len(self.drives) < DRIVES:
+            self.drives.append(Drive(name, problem, parameters, handle, []))
+        return handle
 
     def step(
         self, handle: Any, frame: Frame | None, *, landmarks: bool = False, joint_covariance: bool = False
     ) -> Answer:
+        def keep(answered: Any) -> None:
+            self._keep("update", (), answered)
+            if self._bytes > self._bytes_max:
+                # Large answers are kept here no more than there.
+                return
+            for drive in self.drives:
+                if drive.handle is handle and len(drive.steps) < DRIVE_STEPS:
+                    drive.steps.append(DriveStep(frame, landmarks, joint_covariance, answered))
+
         try:
             answer = self._inner.step(handle, frame, landmarks=landmarks, joint_covariance=joint_covariance)
         except StudentError as error:
-            self._keep("update", (), f"{error.type_name}: {error.message}")
+            keep(f"{error.type_name}: {error.message}")
             raise
-        kept: list[Any] = []
-        if answer.estimate is not None:
-            kept += [answer.estimate.T_world_body, answer.estimate.P]
-        if answer.landmarks is not None:
-            kept += [answer.landmarks.positions, answer.landmarks.covariances]
-        if answer.joint_covariance is not None:
-            kept.append(answer.joint_covariance)
-        self._keep("update", (), tuple(kept))
+        keep(told(answer))
         return answer
 
     def cpu_s(self) -> float:
@@ -193,6 +224,18 @@ class Remembering:
         # Calls are known by their number: nothing is kept behind one that was too large.
         if len(self.answers) < self._limit and self._bytes <= self._bytes_max:
             self.answers.append(Remembered(name, tuple(arguments), answer))
+
+
+def told(answer: Answer) -> tuple[Any, ...]:
+    """The arrays of what an object told after a frame."""
+    kept: list[Any] = []
+    if answer.estimate is not None:
+        kept += [answer.estimate.T_world_body, answer.estimate.P]
+    if answer.landmarks is not None:
+        kept += [answer.landmarks.positions, answer.landmarks.covariances]
+    if answer.joint_covariance is not None:
+        kept.append(answer.joint_covariance)
+    return tuple(kept)
 
 
 def compact(name: str, answer: Any) -> Any:

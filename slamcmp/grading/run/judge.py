@@ -249,8 +249,20 @@ class Judge:
         calls = [each for _, asked in self._asked for each in asked.answers]
         if self._solution.others_to_blame(function, calls):
             return None
-        said = "" if self.evidence_lost else self._solution.said(function, calls)
+        if self.evidence_lost:
+            return ""
+        if not any(each.name == function and each.arguments for each in self._asked[-1][1].answers):
+            return self._slip_of_object()
+        said = self._solution.said(function, calls)
         return f"Your {function} answers as if {said}." if said else ""
+
+    def _slip_of_object(self) -> str:
+        """The same of the class of the objects that the last test drove."""
+        for name in dict.fromkeys(drive.name for drive in self._asked[-1][1].drives):
+            drives = [drive for _, asked in reversed(self._asked) for drive in asked.drives]
+            if said := self._solution.said_of(name, drives):
+                return f"Your {name} answers as if {said}."
+        return ""
 
     def _spoken_against(self, mutant: Mutant, spec: TestSpec) -> bool:
         return any(

@@ -6,16 +6,22 @@ import ast
 from collections.abc import Iterator
 
 from slamcmp.grading.run.slips.kinds import (
+    DEGREES,
     DIAGONAL_INVERTED,
     EXCHANGED,
     FACTOR,
+    FRONT,
     INVERSE,
+    JOINED,
     LEFT_OUT,
+    OFF_BY_ONE,
+    REVERSED,
+    SHUFFLED,
     SQUARED,
     STEP_LESS,
     Change,
 )
-from slamcmp.grading.run.slips.nodes import call, called, transpose
+from slamcmp.grading.run.slips.nodes import call, called, reversed, transpose, transposed, turned_blocks
 
 _MISSING = {
     "wrap": "an angle were not wrapped",
@@ -41,7 +47,10 @@ _INSTEAD = {
     "ceil": (("floor", "a number were rounded down and not up"),),
     "floor": (("ceil", "a number were rounded up and not down"),),
     "log1p": (("log", "a logarithm were of another number"),),
-    "sum": (("mean", "a mean stood where a sum belongs"),),
+    "sum": (
+        ("mean", "a mean stood where a sum belongs"),
+        ("max", "a largest stood where a sum belongs"),
+    ),
     "mean": (("sum", "a sum stood where a mean belongs"),),
     "exp": (("log", "exponential and logarithm were exchanged"),),
     "log": (("exp", "exponential and logarithm were exchanged"),),
@@ -98,13 +107,45 @@ def changes_of_call(node: ast.Call) -> Iterator[Change]:
         yield Change("a root of squares were missing", added, tuple(arguments))
         square = ast.BinOp(node, ast.Pow(), ast.Constant(2))
         yield Change(SQUARED, square, tuple(arguments))
+    if name in ("sin", "cos", "tan") and of_module and len(arguments) == 1:
+        for turned_angle in ("np.degrees", "np.radians"):
+            angle = call(turned_angle, arguments[0])
+            yield Change(DEGREES, ast.Call(node.func, [angle], []), (arguments[0],))
+    if name == "copy":
+        source = owner if owner is not None and not of_module else arguments[0] if arguments else None
+        if source is not None:
+            nothing = call("np.zeros_like", source)
+            yield Change("all were zero that is not written anew", nothing, (source,))
+    if name in ("block", "vstack", "hstack", "concatenate") and len(arguments) == 1:
+        turned_round = turned_blocks(arguments[0])
+        if turned_round is not None:
+            yield Change(JOINED, ast.Call(node.func, [turned_round], node.keywords), (arguments[0],))
+    if not of_module:
+        for number, argument in enumerate(arguments):
+            if isinstance(argument, ast.Name | ast.Attribute) and not transposed(argument):
+                turned = list(arguments)
+                turned[number] = reversed(argument)
+                yield Change(REVERSED, ast.Call(node.func, turned, node.keywords), (argument,))
+            elif isinstance(argument, ast.Subscript) and isinstance(argument.slice, ast.Slice):
+                for by in (1, -1):
+                    turned = list(arguments)
+                    turned[number] = call("np.roll", argument, ast.Constant(by), ast.Constant(0))
+                    yield Change(SHUFFLED, ast.Call(node.func, turned, node.keywords), (argument,))
     if name == "reshape" and len(arguments) == 2 and owner is not None:
         in_columns = transpose(ast.Call(node.func, arguments[::-1], []))
         yield Change("numbers were put into rows in another order", in_columns, (owner,))
-    if name == "range":
+    if name in ("range", "arange") and arguments:
         for text, by in (("there were one step more", 1), (STEP_LESS, -1)):
             more = ast.BinOp(arguments[-1], ast.Add(), ast.Constant(by))
             yield Change(text, ast.Call(node.func, [*arguments[:-1], more], []), (arguments[-1],))
+        if len(arguments) > 1:
+            for by in (1, -1):
+                ends = [ast.BinOp(each, ast.Add(), ast.Constant(by)) for each in arguments[:2]]
+                shifted = ast.Call(node.func, [*ends, *arguments[2:]], [])
+                yield Change(OFF_BY_ONE, shifted, tuple(arguments[:2]))
+    if name == "append" and owner is not None and len(arguments) == 1:
+        insert = ast.Attribute(owner, "insert", ast.Load())
+        yield Change(FRONT, ast.Call(insert, [ast.Constant(0), arguments[0]], []), (owner,))
     for number in range(len(arguments) - 1):
         swapped = list(arguments)
         swapped[number : number + 2] = swapped[number + 1], swapped[number]
@@ -116,8 +157,10 @@ def changes_of_call(node: ast.Call) -> Iterator[Change]:
             and isinstance(keyword.value, ast.Constant)
             and keyword.value.value in (0, 1)
         ):
-            turned = list(node.keywords)
-            turned[number] = ast.keyword("axis", ast.Constant(1 - keyword.value.value))
+            other_axis = list(node.keywords)
+            other_axis[number] = ast.keyword("axis", ast.Constant(1 - keyword.value.value))
             yield Change(
-                "rows and columns were exchanged", ast.Call(node.func, arguments, turned), tuple(arguments)
+                "rows and columns were exchanged",
+                ast.Call(node.func, arguments, other_axis),
+                tuple(arguments),
             )

@@ -9,6 +9,7 @@ SIGN = "a sign were turned round"
 TERM = "a term were left out"
 FACTOR = "a factor were left out"
 TWICE, HALF = "something counted twice", "something counted half"
+HALF_OR_TWICE = "something counted half (or twice, where it divides)"
 ROOT, SQUARED = "a root were too much or a square missing", "a square were too much or a root missing"
 DIAGONAL = "only a diagonal counted"
 DEGREES = "degrees and radians were exchanged"
@@ -31,8 +32,24 @@ STEP_LESS = "there were one step less"
 DIAGONAL_INVERTED = "only the diagonal of a matrix were inverted"
 FACTOR_TWICE = "a factor counted twice (squared)"
 INDEX = "an index were another one"
+FIRST_FOR_ALL = "the first of several stood for all of them"
+OTHER_END = "an index counted from the other end"
+REVERSED = "a sequence stood in another order"
+SHUFFLED = "entries stood in another order"
+SORTED = "a sequence were sorted"
+PARENTHESIS = "a parenthesis stood in another place"
+IN_PLACE = "what was kept were overwritten in place by what comes later"
+STEPS_ORDER = "two of its steps stood in the other order"
+UNDER_CONDITION = "something were done under a condition only, where it is always done"
+ONCE = "something were done once, before the loop, where every step needs it anew"
+NOT_EMPTY = "a list began with something in it, where it begins empty"
+FRONT = "what is new were put in front, where it belongs behind"
+JOINED = "parts were put together in another order"
 VAGUE = (
     CONSTANT,
+    UNDER_CONDITION,
+    SORTED,
+    SHUFFLED,
     INDEX,
     FACTOR_MORE,
     FACTOR_TWICE,

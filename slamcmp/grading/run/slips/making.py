@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import ast
 import copy
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from types import CodeType
 
+from slamcmp.grading.run.slips.alike import changes_of_alike
+from slamcmp.grading.run.slips.blocks import changes_of_local, changes_of_order
 from slamcmp.grading.run.slips.kinds import Change
 from slamcmp.grading.run.slips.rules import (
     changes_of_entry,
@@ -27,13 +29,14 @@ from slamcmp.grading.run.slips.rules import (
 TICK = "_slamcmp_tick"
 """Called once in every step of a loop."""
 _NESTED = (ast.FunctionDef, ast.Lambda)
+_Definition = ast.FunctionDef | ast.ClassDef
 _SIMPLE = (ast.Assign, ast.AugAssign, ast.Return, ast.Expr)
 """Statements without others in them."""
 
 
 @dataclass(frozen=True)
 class Slip:
-    """One function of the solution, changed in one place."""
+    """One function or class of the solution, changed in one place."""
 
     kind: str
     """What was done otherwise, as the end of "Your f answers as if …"."""
@@ -42,9 +45,11 @@ class Slip:
     named: str
     """What was done to one thing that the function is given; empty: it was none as a whole."""
     changed: str
-    """The function that it replaces."""
+    """The function that it replaces, or the class whose method it replaces."""
+    method: str
+    """Of a class, which of its methods; empty: it is a function."""
     code: CodeType
-    """Its definition, to be executed in the solution's module."""
+    """The definition of the function or of the method, to be executed in the solution's module."""
 
 
 def counted(solution: str) -> ast.Module:
@@ -72,26 +77,39 @@ def slips(solution: str, function: str, asked: Set[str]) -> Iterator[Slip]:
 
     Args:
         solution: the whole solution.
-        function: whose answers are looked at.
+        function: whose answers are looked at; or the class.
         asked: functions that students write themselves; what is wrong in another of them is no slip of this.
     """
-    defined = {node.name: node for node in counted(solution).body if isinstance(node, ast.FunctionDef)}
+    defined = {node.name: node for node in counted(solution).body if isinstance(node, _Definition)}
     if function not in defined:
         return
     for name in _own(defined, function, asked):
         node = defined[name]
-        given = [each.arg for each in node.args.args] if name == function else []
-        for change, module in _changed(node, given):
+        given = _given_to(node) if name == function else []
+        for change, module in _changed_definition(node, given):
             yield Slip(
                 change.kind,
                 _given_in(change.about, given),
                 change.text,
                 name,
+                module.body[0].name if isinstance(node, ast.ClassDef) else "",  # type: ignore[attr-defined]
                 compile(module, f"slip of {name}", "exec"),
             )
 
 
-def _own(defined: dict[str, ast.FunctionDef], function: str, asked: Set[str]) -> list[str]:
+def _given_to(node: _Definition) -> list[str]:
+    """What a function, or the methods of a class that others call, are given."""
+    if isinstance(node, ast.FunctionDef):
+        return [each.arg for each in node.args.args]
+    called = [each for each in _methods(node) if each.name == "__init__" or not each.name.startswith("_")]
+    return list(dict.fromkeys(each.arg for method in called for each in method.args.args[1:]))
+
+
+def _methods(node: ast.ClassDef) -> list[ast.FunctionDef]:
+    return [each for each in node.body if isinstance(each, ast.FunctionDef)]
+
+
+def _own(defined: Mapping[str, _Definition], function: str, asked: Set[str]) -> list[str]:
     """The function and the helpers that it calls, directly or not; the solution's alone."""
     found, waiting = [function], [function]
     while waiting:
@@ -103,25 +121,71 @@ def _own(defined: dict[str, ast.FunctionDef], function: str, asked: Set[str]) ->
     return found
 
 
-def _changed(node: ast.FunctionDef, given: Sequence[str]) -> Iterator[tuple[Change, ast.Module]]:
-    """Every change of a function, with the module of the changed function alone; it holds until the next."""
+def _changed_definition(node: _Definition, given: Sequence[str]) -> Iterator[tuple[Change, ast.Module]]:
+    """Every change of a function or a method, with a module of that alone; it holds until the next."""
     node = copy.deepcopy(node)
+    for function in [node] if isinstance(node, ast.FunctionDef) else _methods(node):
+        own = [each.arg for each in function.args.args if each.arg in given]
+        # What a method is given as a whole has been told apart by the tests of the functions.
+        for change in _changed(function, own, as_given=function is node):
+            yield change, ast.Module([function], [])
+
+
+def _changed(node: ast.FunctionDef, given: Sequence[str], *, as_given: bool = True) -> Iterator[Change]:
+    """Every change of a function, which stands in it until the next one is asked for."""
     if ast.get_docstring(node) is not None:
         del node.body[0]
     names = {each.arg for each in node.args.args} | {
         each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
     }
-    module = ast.Module([node], [])
-    for place, change in _places(node, names, frozenset(given)):
+    names -= {"self"}
+    for place, change in _places(node, names, frozenset(given), _siblings(node)):
         before = place.get()
         place.put(ast.fix_missing_locations(change.new))
-        yield change, module
+        yield change
         place.put(before)
-    for name in given:
+    yield from _changed_blocks(node)
+    for name in given if as_given else ():
         for change in changes_of_entry(name):
             node.body.insert(0, ast.fix_missing_locations(change.new))  # type: ignore[arg-type]
-            yield change, module
+            yield change
             del node.body[0]
+
+
+def _changed_blocks(node: ast.FunctionDef) -> Iterator[Change]:
+    """Every change of a block of statements: their order, and what was assigned, taken for something else."""
+    for holder in ast.walk(node):
+        body = getattr(holder, "body", None)
+        if not isinstance(body, list):
+            continue
+        blocks = [Change(kind, ast.Module(new, [])) for kind, new in changes_of_order(body)]
+        for number, statement in enumerate(body):
+            if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Tuple):
+                targets = statement.targets[0].elts
+                assigned = [each.id for each in targets if isinstance(each, ast.Name) and each.id != "_"]
+                for change in changes_of_local(assigned, statement.value):
+                    behind = [*body[: number + 1], change.new, *body[number + 1 :]]
+                    blocks.append(Change(change.kind, ast.Module(behind, []), change.about))
+        for block in blocks:
+            holder.body = ast.fix_missing_locations(block.new).body  # type: ignore[attr-defined]
+            yield block
+            holder.body = body  # type: ignore[attr-defined]
+
+
+def _siblings(node: ast.FunctionDef) -> Mapping[str, frozenset[str]]:
+    """Variables that are assigned together, of each of them."""
+    found: dict[str, frozenset[str]] = {}
+    for statement in ast.walk(node):
+        if isinstance(statement, ast.Assign):
+            together = frozenset(
+                each.id
+                for target in statement.targets
+                for each in ast.walk(target)
+                if isinstance(each, ast.Name)
+            )
+            for name in together:
+                found[name] = found.get(name, frozenset()) | together
+    return found
 
 
 def _given_in(about: Sequence[ast.AST], given: Sequence[str]) -> tuple[str, ...]:
@@ -138,7 +202,11 @@ class _Place:
 
 
 def _places(
-    node: ast.AST, names: Set[str], near: Set[str], index: bool = False
+    node: ast.AST,
+    names: Set[str],
+    near: Set[str],
+    siblings: Mapping[str, frozenset[str]],
+    index: bool = False,
 ) -> Iterator[tuple[_Place, Change]]:
     """Every place of the tree with what may stand there instead.
 
@@ -147,6 +215,7 @@ def _places(
         names: variables of the function.
         near: those among them that may be taken for one another: what the function is given, and what the
             same statement speaks of.
+        siblings: variables that were assigned together with a variable.
         index: whether the tree stands between square brackets.
     """
     for field, value in ast.iter_fields(node):
@@ -176,7 +245,11 @@ def _places(
             if isinstance(child, ast.stmt):
                 for change in changes_of_pairs(child, sorted(beside)):
                     yield place, change
-            yield from _places(child, names, near | beside, inside)
+            besides = beside.union(*(siblings.get(name, frozenset()) for name in beside))
+            if isinstance(child, _SIMPLE):
+                for change in changes_of_alike(child):
+                    yield place, change
+            yield from _places(child, names, near | besides, siblings, inside)
 
 
 def _is_tick(node: ast.stmt) -> bool:

@@ -44,3 +44,16 @@ def called(node: ast.Call) -> str:
     if isinstance(node.func, ast.Attribute):
         return node.func.attr
     return node.func.id if isinstance(node.func, ast.Name) else ""
+
+
+def turned_blocks(node: ast.expr) -> ast.expr | None:
+    """A list (of lists) the other way round at every level; None: it is none of at least two."""
+    if not isinstance(node, ast.List | ast.Tuple) or len(node.elts) < 2:
+        return None
+    return type(node)([turned_blocks(each) or each for each in node.elts[::-1]], ast.Load())
+
+
+def sign_turned(op: ast.operator) -> ast.operator | None:
+    if isinstance(op, ast.Add):
+        return ast.Sub()
+    return ast.Add() if isinstance(op, ast.Sub) else None

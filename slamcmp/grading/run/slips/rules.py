@@ -7,6 +7,7 @@ import copy
 import itertools
 from collections.abc import Iterator, Sequence
 
+from slamcmp.grading.run.slips.blocks import changes_without_first
 from slamcmp.grading.run.slips.calls import changes_of_call
 from slamcmp.grading.run.slips.kinds import (
     ANOTHER,
@@ -21,14 +22,18 @@ from slamcmp.grading.run.slips.kinds import (
     FACTOR_MORE,
     FACTOR_TWICE,
     HALF,
+    IN_PLACE,
     INDEX,
     INVERSE,
     LEFT_OUT,
+    NOT_EMPTY,
     OFF_BY_ONE,
     ORDER,
     OUTPUTS,
+    REVERSED,
     ROOT,
     SIGN,
+    SORTED,
     SQUARED,
     TERM,
     TERM_MORE,
@@ -41,10 +46,17 @@ from slamcmp.grading.run.slips.nodes import (
     called,
     negative,
     reversed,
+    sign_turned,
     sliced,
     times,
     transpose,
     transposed,
+)
+from slamcmp.grading.run.slips.pieces import (
+    changes_of_comprehension,
+    changes_of_pairs_in,
+    changes_of_parentheses,
+    changes_of_part,
 )
 
 
@@ -64,6 +76,10 @@ def changes_of_expression(
             yield from _of_operation(node)
         case ast.UnaryOp(op=ast.USub()):
             yield Change(SIGN, node.operand, (node.operand,))
+        case ast.Subscript() if not index:
+            yield from changes_of_part(node)
+        case ast.ListComp() | ast.GeneratorExp() if len(node.generators) == 1:
+            yield from changes_of_comprehension(node)
         case ast.Attribute(attr="T"):
             yield Change(TRANSPOSE, node.value, (node.value,))
             yield Change(
@@ -81,7 +97,14 @@ def changes_of_expression(
             # A list that is put into itself has no end.
             kept = isinstance(parent, ast.Call) and called(parent) in ("append", "extend", "insert")
             yield from _of_name(node, [] if kept else names, index)
+        case ast.List(elts=[]) if isinstance(parent, ast.Assign | ast.Tuple) and not index:
+            for name in names:
+                yield Change(NOT_EMPTY, ast.List([ast.Name(name, ast.Load())], ast.Load()), (node,))
+        case ast.List(elts=[_]) if not index:
+            yield Change(TWICE, ast.BinOp(node, ast.Mult(), ast.Constant(2)), (node,))
         case ast.List() | ast.Tuple() if len(node.elts) > 1:
+            if not index:
+                yield from changes_of_pairs_in(node)
             text = (
                 OUTPUTS
                 if isinstance(parent, ast.Return)
@@ -114,12 +137,13 @@ def changes_of_statement(node: ast.stmt) -> Iterator[Change]:
     """Of a statement as a whole."""
     match node:
         case ast.AugAssign():
-            flipped = _flipped(node.op)
+            flipped = sign_turned(node.op)
             if flipped is not None:
                 yield Change(SIGN, ast.AugAssign(node.target, flipped, node.value), (node.value,))
+                alone = negative(node.value) if isinstance(node.op, ast.Sub) else node.value
                 yield Change(
                     "what is to be added up were overwritten",
-                    ast.Assign([node.target], node.value),
+                    ast.Assign([node.target], alone),
                     (node.value,),
                 )
             yield Change(TERM, ast.Pass(), (node.value,))
@@ -140,6 +164,17 @@ def changes_of_statement(node: ast.stmt) -> Iterator[Change]:
                 others = [*several[:number], ast.Name("_", ast.Store()), *several[number + 1 :]]
                 fewer = ast.Assign([ast.Tuple(others, ast.Store())], value)
                 yield Change("one of several answers were not taken over", fewer, (unread,))
+            if all(isinstance(each, ast.Name | ast.Attribute) for each in several):
+                parts: list[ast.expr] = [
+                    ast.Subscript(copy.deepcopy(each), ast.Slice(), ast.Store()) for each in several
+                ]
+                for part in parts:
+                    part.value.ctx = ast.Load()  # type: ignore[attr-defined]
+                yield Change(IN_PLACE, ast.Assign([ast.Tuple(parts, ast.Store())], value), tuple(several))
+        case ast.For(target=ast.Tuple(elts=[ast.Name(id=number), *_]), iter=ast.Call() as counting) if (
+            called(counting) == "enumerate"
+        ):
+            yield from changes_without_first(node, number)
         case ast.Assign(targets=[ast.Name(id=name)], value=value) if _reads(value, name):
             yield Change(LEFT_OUT, ast.Pass(), (value,))
 
@@ -177,17 +212,18 @@ def changes_of_entry(name: str) -> Iterator[Change]:
         (HALF, "counted half", times(0.5, array)),
         (DEGREES, "were in degrees", call("np.degrees", given)),
         (DEGREES, "were turned into radians once more", call("np.radians", given)),
-        ("a sequence stood in another order", "came in the reverse order", reversed(given)),
-        ("a sequence stood in another order", "were sorted", call("np.sort", given)),
+        (REVERSED, "came in the reverse order", reversed(given)),
+        (SORTED, "were sorted", call("np.sort", given)),
     ):
         yield Change(kind, ast.Assign([ast.Name(name, ast.Store())], new), text=f"{name} {text}")
 
 
 def _of_operation(node: ast.BinOp) -> Iterator[Change]:
     left, right = node.left, node.right
+    yield from changes_of_parentheses(node)
     match node.op:
         case ast.Add() | ast.Sub():
-            flipped = _flipped(node.op)
+            flipped = sign_turned(node.op)
             assert flipped is not None
             yield Change(SIGN, ast.BinOp(left, flipped, right), (right,))
             yield Change(SIGN, ast.BinOp(right, ast.Sub(), left), (left,))
@@ -207,6 +243,8 @@ def _of_operation(node: ast.BinOp) -> Iterator[Change]:
             yield Change(ORDER, ast.BinOp(right, ast.MatMult(), left), (left, right))
             yield Change(FACTOR, left, (right,))
             yield Change(FACTOR, right, (left,))
+            as_long = ast.Subscript(right, ast.Slice(None, call("len", left)), ast.Load())
+            yield Change(FACTOR, as_long, (left,))
         case ast.Mult() | ast.Div():
             other = ast.Div() if isinstance(node.op, ast.Mult) else ast.Mult()
             how = (
@@ -300,12 +338,6 @@ def _by_entry(node: ast.expr) -> ast.expr:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
         return ast.BinOp(_by_entry(node.left), ast.Mult(), _by_entry(node.right))
     return node
-
-
-def _flipped(op: ast.operator) -> ast.operator | None:
-    if isinstance(op, ast.Add):
-        return ast.Sub()
-    return ast.Add() if isinstance(op, ast.Sub) else None
 
 
 def _is_unread(target: ast.expr) -> bool:
