@@ -97,7 +97,7 @@ def grade(
         if loaded is not None:
             status, message, level = _try(loaded, name, given, expected, accept_weak_sandbox)
         score = 10.0 if status == "passed" else 0.0
-        detail = f"STAFF-DETAIL secret {secret.hex()}"
+        detail = f"STAFF-DETAIL secret {secret.hex()}, largest {_largest_kib()} KiB"
         tests.append(TestOutcome(number, name, "unit", status, score, 10.0, visibility, message, detail, 0.1))
         if out is not None:
             save_outcome(outcome(False), out)
@@ -105,6 +105,12 @@ def grade(
         for fault in re.findall(r"^# the grader (\w+)", text, re.MULTILINE):
             _FAULTS[fault](assignment, submission)
     return outcome(True)
+
+
+def _largest_kib() -> int:
+    """The most memory that this process ever held."""
+    (told,) = re.findall(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
+    return int(told)
 
 
 def _try(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -80,6 +81,13 @@ def _scores(place: Path) -> dict[str, float]:
     return {student: float(row["score"]) for student, row in _gradebook(place).items()}
 
 
+def _memory_of_graders(place: Path) -> list[int]:
+    """The most that each grader told it held [KiB]."""
+    outcomes = [load_outcome(path) for path in place.glob("out/students/*/outcome.json")]
+    details = "\n".join(test.staff_detail for outcome in outcomes for test in outcome.tests)
+    return [int(told) for told in re.findall(r"largest (\d+) KiB", details)]
+
+
 def _processes_of(pid: int, place: Path) -> list[str]:
     """Command lines of what a class run with this process number, or its sandbox, has started."""
     found = []
@@ -152,6 +160,7 @@ def test_a_killed_class_run_goes_on_with_the_same_scores_and_leaves_no_process(
     again = _run(place)
     assert (again.reused, again.graded) == (size, 0)
     assert _scores(place) == expected
+    assert max(_memory_of_graders(place)) < 400 << 10, "whatever comes in [KiB]"
     assert _gradebook(place)["grader_crashes"]["graded"] == "crashed"
     assert again.summary.endings == {"ok": size - 1, "crashed": 1}
 
