@@ -16,7 +16,7 @@ import numpy as np
 from slamcmp.association.compatibility import NOBODY, Innovations, JointDistance
 from slamcmp.types import FloatArray
 
-MOST_FOUND = 2_000
+MOST_FOUND = 300
 """Assignments of one frame that are looked at, likelier pairs first."""
 
 

@@ -80,8 +80,16 @@ def test_what_one_sighting_leaves_open_the_next_ones_decide() -> None:
         assert scores(other)["association_precision"] < 0.9
 
 
+def test_forty_landmarks_and_a_poor_compass() -> None:
+    """The world of ``unknown_association`` where no pairing at once has half of its ids right."""
+    log = figure_eight(0, turn_sigma_deg_s=3.0, outlier_fraction=0.02)
+    found = scores(multiple_hypotheses(log, 0))
+    assert found["association_precision"] >= 0.98
+    assert found["association_recall"] >= 0.9
+
+
 def test_labels_decide_nothing() -> None:
-    log = figure_eight(0, steps=60)
+    log = figure_eight(0, steps=30)
     blank = replace(log, detections=tuple(replace(d, ids=np.full(d.ids.size, -1)) for d in log.detections))
     one, other = (multiple_hypotheses(each, 0) for each in (log, blank))
     assert all((a.ids == b.ids).all() for a, b in zip(one.frames, other.frames, strict=True))
@@ -114,7 +122,7 @@ def of_set_2(robot: int, frames: int | None) -> dict[str, float]:
 
 
 def test_the_first_minutes_of_a_recorded_robot() -> None:
-    found = of_set_2(3, 350)
+    found = of_set_2(3, 250)
     assert found["association_precision"] > 0.95
     assert found["association_recall"] > 0.95
 
