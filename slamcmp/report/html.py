@@ -124,7 +124,7 @@ def report_html(results: Results) -> str:
         paired=page_table(paired_table(results), swept),
         figures=[figure for figure in shown if figure.sources],
         alive=alive,
-        live_captions=live_captions(live),
+        live_captions=live_captions(live, results),
         sparsity_caption=registry_figures.get("sparsity").traits["caption"],
         middle=_middle(results),
         recorded="recording" in results.trials,

@@ -81,7 +81,7 @@ def live_figures(results: Results) -> dict[str, Any]:
     return found
 
 
-def live_captions(figures: dict[str, Any]) -> dict[str, str]:
+def live_captions(figures: dict[str, Any], results: Results) -> dict[str, str]:
     """What the static figure's caption cannot say of the interactive one, by its name."""
     captions = {
         "errors": "Solid: online; dashed: final; dotted: ±3σ. A click on a name in the legend hides it.",
@@ -91,6 +91,9 @@ def live_captions(figures: dict[str, Any]) -> dict[str, str]:
             "matrix; framed is what is left to eliminate."
         ),
     }
+    where = point_name(middle_point(results)) if "budget" in figures else ""
+    of = f" at {where}" if where else ""
+    captions["budget"] = f"On the Pareto front{of} nobody is both faster and better."
     runs = figures.get("map", {}).get("runs", [])
     parts = ["The slider moves the time"]
     if any("P" in run["steps"] for run in runs):
@@ -285,9 +288,9 @@ def _budget(results: Results) -> dict[str, Any] | None:
         here = at_point(table, middle_point(results))
         front = pareto_front(here.groupby("label")[["ms", "error_m"]].median())
         if len(front) > 1:
-            where = point_name(middle_point(results))
-            name = f"Pareto front: nobody is faster and better{f' ({where})' if where else ''}"
-            traces.append({"x": _numbers(front["ms"]), "y": _numbers(front["error_m"]), "name": name})
+            traces.append(
+                {"x": _numbers(front["ms"]), "y": _numbers(front["error_m"]), "name": "Pareto front"}
+            )
         panels.append({"y": f"{which} ATE [m]", "log": True, "traces": traces})
     return {"kind": "stack", "x": "ms per frame", "logx": True, "panels": panels} if panels else None
 

@@ -29,7 +29,15 @@ from slamcmp.report.figures.runs.sparsity import (
     shown_frames,
 )
 from slamcmp.report.html import report_html
-from slamcmp.report.live import DARK, LIGHT, kept_indices, live_data, live_figures, pareto_front
+from slamcmp.report.live import (
+    DARK,
+    LIGHT,
+    kept_indices,
+    live_captions,
+    live_data,
+    live_figures,
+    pareto_front,
+)
 from slamcmp.report.live_sparsity import fill_steps
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -90,6 +98,7 @@ def test_data_holds_the_tables_numbers(swept):
         by_point = ok.groupby("source.range_sigma_m")[f"{which}_ate"].median()
         assert medians["y"] == pytest.approx(list(by_point), rel=1e-4)
     assert figures["seeds"]["order"] == ["ekf", "isam2", "batch"]
+    assert "Pareto front at range sigma = 1 m nobody" in live_captions(figures, swept)["budget"]
     (online, final) = figures["seeds"]["panels"]
     here = swept.trials[(swept.trials["source.range_sigma_m"] == 1.0) & (swept.trials["status"] == "ok")]
     expected = here.pivot(index="trial", columns="label", values="online_ate")[online["labels"]]
