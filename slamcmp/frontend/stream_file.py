@@ -14,6 +14,7 @@ from slamcmp.models.sensors import make_sensor
 from slamcmp.support.files.atomic import write_atomically
 from slamcmp.support.files.npz import read_arrays
 from slamcmp.support.files.packed_files import content, is_there
+from slamcmp.support.messages import told
 from slamcmp.types import Detections, FrontEndReport, MeasurementStream, Problem, RelativePoses
 from slamcmp.types.columns import Columns, columns_of, parts
 from slamcmp.types.stream import frames_of
@@ -95,9 +96,9 @@ def load_stream(path: Path | str) -> MeasurementStream:
     except Exception as error:
         # A spoilt byte surfaces as whatever zipfile, zlib, json or numpy meet first: zlib.error, BadZipFile,
         # NotImplementedError (an unknown compression), RuntimeError ("encrypted"), IndexError and more.
+        what = told(f"{type(error).__name__}: {error}", 300)
         raise DataError(
-            f"{path}: not a measurement stream, or damaged ({type(error).__name__}: {error}); "
-            "write one with 'slamcmp stream save'"
+            f"{path}: not a measurement stream, or damaged ({what}); write one with 'slamcmp stream save'"
         ) from error
     if stream.digest != header["digest"]:
         raise DataError(

@@ -24,6 +24,12 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 9)
 )
 BAD = {
+    "an empty source": ("source: {}\nback_ends: [{name: ekf_slam}]\n", r"e\.yaml:1:9: .*'name' is missing"),
+    "an empty front end": (GOOD + "front_end: {}\n", r"e\.yaml:3:12: .*'name' is missing"),
+    "an empty back end": (
+        "source: {name: circle}\nback_ends: [{}, {name: ekf_slam}]\n",
+        r"e\.yaml:2:\d+: .*'name' is missing",
+    ),
     "a million million seeds": (GOOD + "seeds: 1000000000000\n", r"e\.yaml:3:8: seeds: .*100000"),
     "seeds of 5000 digits": (GOOD + f"seeds: {'9' * 5000}\n", r"e\.yaml"),
     "a seed of 5000 digits": (GOOD + f"seeds: [1, {'9' * 5000}]\n", r"e\.yaml"),

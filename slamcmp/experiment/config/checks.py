@@ -37,8 +37,9 @@ class Checker:
         self.recordings: tuple[Mapping[str, str], ...] = ()
         """Where the source names several, its parameters that name each one."""
 
-    def choice(self, kind: str, section: Mapping[str, Any], path: KeyPath) -> Component | None:
-        if not section:
+    def choice(self, kind: str, section: Mapping[str, Any] | None, path: KeyPath) -> Component | None:
+        if section is None:
+            # It was no section at all, and is told of.
             return None
         given = dict(section)
         name = given.pop("name", None)

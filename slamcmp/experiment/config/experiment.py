@@ -195,7 +195,7 @@ def parse_experiment(source: ConfigSource, path: Path | None) -> Experiment:
         }
         fields = ExperimentFields.model_construct(
             **{
-                "source": {},
+                "source": None,
                 "back_ends": [],
                 "sweep": {},
                 "seeds": 1,

@@ -17,6 +17,7 @@ from slamcmp.grading.hand_in.hand_in import (
     shown,
     size,
 )
+from slamcmp.support.messages import told
 
 _ENTRIES_MAX = 20 * FILES_MAX
 """Counts junk as well, which a whole project folder has a lot of."""
@@ -37,7 +38,8 @@ def read_zip(path: Path) -> Collector:
         with zipfile.ZipFile(path) as archive:
             return _unpack(archive, path.name)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
-        raise SubmissionError(f"{path.name}: is no readable zip ({error})") from error
+        # zipfile repeats names as long as a damaged file has them.
+        raise SubmissionError(f"{path.name}: is no readable zip ({told(str(error), 300)})") from error
     except OSError as error:
         raise SubmissionError(f"{path.name}: cannot be read ({error})") from error
 
