@@ -44,6 +44,8 @@ QUOTED = (
     "victoria_park_gps",
     "range_only",
     "bearing_only",
+    "kitti06",
+    "kitti06_defaults",
 )
 """Experiments whose numbers stand in ``docs/``."""
 OF_A_RUN = (
