@@ -195,6 +195,11 @@ class Diverges(DeadReckoning):
         raise DivergedError("wrong basin")
 
 
+class DivergesAndSaysWhere(DeadReckoning):
+    def misbehave(self) -> None:
+        raise DivergedError("frame 200: wrong basin")
+
+
 class TurnsNan(DeadReckoning):
     def misbehave(self) -> None:
         self.T = self.T * np.nan

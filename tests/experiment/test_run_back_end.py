@@ -59,6 +59,7 @@ def test_hindsight_is_asked_for(stream: MeasurementStream) -> None:
     [
         ("Raises", "crashed", "frame 200: ValueError: no such landmark (user_plugins.py:"),
         ("Diverges", "diverged", "frame 200: wrong basin"),
+        ("DivergesAndSaysWhere", "diverged", "frame 200: wrong basin"),
         ("TurnsNan", "diverged", "frame 200: the estimated pose is not finite"),
         ("TurnsIndefinite", "diverged", "frame 200: the estimated covariance is not positive semi-definite"),
     ],

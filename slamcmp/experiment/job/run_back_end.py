@@ -117,7 +117,9 @@ def _guarded(action: Callable[[], str | None], collected: Collected) -> tuple[St
     try:
         return "ok", action() or ""
     except DivergedError as error:
-        return "diverged", told(f"{collected.where()}: {error}")
+        # Some say themselves at which frame.
+        text, where = str(error), f"{collected.where()}: "
+        return "diverged", told(text if text.startswith(where) else f"{where}{text}")
     except KeyboardInterrupt:
         raise
     except BaseException as error:
