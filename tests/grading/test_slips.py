@@ -130,7 +130,7 @@ def said(old: str, new: str, function: str) -> str:
         ),
         ("means.append(mean)", "means.insert(0, mean)", "run", "what is new were put in front"),
         ("mean, P = update(", "mean[:], P[:] = update(", "run", "what was kept were overwritten in place"),
-        ("means = []", "means = [mean]", "run", "a list began with something in it"),
+        ("means = []", "means = [mean]", "run", "a list had one thing more"),
         (
             "        mean, P = update(mean, P, y, C, R)\n        means.append(mean)\n",
             "        means.append(mean)\n        mean, P = update(mean, P, y, C, R)\n",
@@ -199,10 +199,10 @@ class Walker:
         G[0, 2] = frame.x
         G[1, :2] = frame.far[2:]
         self.T = self.T @ np.array([[1.0, 0.0, frame.x], [0.0, 1.0, frame.y], [0.0, 0.0, 1.0]])
-        self.P = G @ self.P @ G.T + frame.Q
+        self.P = G @ self.P @ G.T + frame.Q * len(self.way)
 
     def estimate(self):
-        return Estimate(self.T, self.P[:3, :3] * len(self.way))
+        return Estimate(self.T, self.P[:3, :3])
 """
 
 
@@ -226,6 +226,7 @@ def said_of_walker(old: str, new: str) -> str:
         ("G @ self.P @ G.T", "G.T @ self.P @ G.T", "a matrix stood where its transpose belongs"),
         ("+ frame.Q", "- frame.Q", "a sign were turned round"),
         ("* len(self.way)", "", "a factor were left out"),
+        (", self.P[:3, :3])", ", np.diag(np.diag(self.P[:3, :3])))", "only a diagonal counted"),
         ("frame.far[2:]", "frame.far[:-2]", "an index counted from the other end"),
         # What no slip does, and what shows in nothing.
         ("+ frame.Q", "+ 1.37 * frame.Q", ""),

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from slamcmp.grading.run.slips.kinds import (
     DEGREES,
+    DIAGONAL,
     DIAGONAL_INVERTED,
     EXCHANGED,
     FACTOR,
@@ -126,6 +127,10 @@ def changes_of_call(node: ast.Call) -> Iterator[Change]:
                 turned = list(arguments)
                 turned[number] = reversed(argument)
                 yield Change(REVERSED, ast.Call(node.func, turned, node.keywords), (argument,))
+            elif isinstance(argument, ast.Subscript) and isinstance(argument.slice, ast.Tuple):
+                flat = list(arguments)
+                flat[number] = call("np.diag", call("np.diag", argument))
+                yield Change(DIAGONAL, ast.Call(node.func, flat, node.keywords), (argument,))
             elif isinstance(argument, ast.Subscript) and isinstance(argument.slice, ast.Slice):
                 for by in (1, -1):
                     turned = list(arguments)

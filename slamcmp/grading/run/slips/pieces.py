@@ -14,6 +14,7 @@ from slamcmp.grading.run.slips.kinds import (
     OTHER_END,
     PARENTHESIS,
     REVERSED,
+    SORTED,
     Change,
 )
 from slamcmp.grading.run.slips.nodes import call, negative, reversed, sliced
@@ -70,6 +71,8 @@ def changes_of_part(node: ast.Subscript) -> Iterator[Change]:
         elif isinstance(each, ast.Name):
             moved[number] = ast.Constant(0)
             yield Change(FIRST_FOR_ALL, _taken(node, moved), (node.value,))
+            moved[number] = call("np.sort", each)
+            yield Change(SORTED, _taken(node, moved), (node.value,))
         elif isinstance(each, ast.Call):
             for by in (1, -1):
                 moved[number] = ast.BinOp(each, ast.Add(), ast.Constant(by))
