@@ -55,8 +55,8 @@ class FixedLag:
             it (cost per frame stays flat, old landmarks close no loops). Where one measurement does not
             place a landmark (a single camera), a later sighting is dropped, and counted.
         most_landmarks: with ``keep``: where the window holds more, those leave it as with ``drop`` that have
-            not been seen for longest, and not for ``lag_frames`` frames, so that a frame of a long run costs
-            what an early one does; null keeps every one, at a cost that grows with their number.
+            not been seen for longest, and not for ``lag_frames`` frames, so that from there on the cost of a
+            frame grows no further; null keeps every one, at a cost that grows with their number.
         relinearize_threshold: as in ``isam2``; for ``incremental``.
         relinearize_skip: as in ``isam2``; for ``incremental``.
         factorization: as in ``isam2``; for ``incremental``. Default: ``cholesky`` with ``keep``, where ``qr``

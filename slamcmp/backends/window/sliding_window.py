@@ -60,7 +60,7 @@ class SlidingWindow:
     """Fixed-lag smoothing of the last poses and all landmarks, by Gauss-Newton with exact marginalisation.
 
     Every frame costs O(w (n L)²+ (n L)³) an iteration for w poses and L landmarks in the state, which
-    ``most_landmarks`` bounds, so a frame of a long run costs what an early one does; with ``window: null``
+    ``most_landmarks`` bounds, so that the cost of a frame grows no further there; with ``window: null``
     w is the number of frames so far, so a run is quadratic in its length (hundreds of frames, not tens of
     thousands).
 
