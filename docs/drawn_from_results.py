@@ -142,10 +142,12 @@ def _points(ok: pd.DataFrame, labels: list[str], metric: str, words: str) -> tup
     axes.set_yticks(range(len(labels)), labels)
     axes.invert_yaxis()
     style.log_if_wide(axes, ok[metric].to_numpy(float), "x")
-    axes.set_xlabel(f"{words}; a point a run, the line their median")
+    # One run is no median.
+    several = len(ok) > len(labels)
+    axes.set_xlabel(f"{words}; a point a run, the line their median" if several else words)
     best, worst = medians.idxmin(), medians.idxmax()
     ends = _ends(medians, str(best), str(worst))
-    return figure, f"The median {words.removesuffix(' [m]')} goes from {ends}"
+    return figure, f"The {'median ' if several else ''}{words.removesuffix(' [m]')} goes from {ends}"
 
 
 def _ends(medians: pd.Series[float], *labels: str) -> str:
