@@ -59,7 +59,7 @@ def test_by_default_nobody_is_worse_than_its_odometry(start: int) -> None:
 
 
 def test_how_much_of_the_odometry_s_error_the_camera_takes_away() -> None:
-    """Four tenths with the right-invariant EKF and smoothers, three with the plain EKF; aligned all better."""
+    """Four tenths by right-invariant EKF and smoothers, three by the plain EKF; aligned all are better."""
     runs = read_runs("kitti06").set_index(["label", "seed"])
     medians = best_error_m(runs).groupby("label").median()
     gained = 1.0 - medians / medians["odometry"]
