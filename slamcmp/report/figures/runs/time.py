@@ -28,7 +28,7 @@ LONG = 1000
         "all grid points). Line: median; pale line: 95th percentile. Update and estimate are apart, "
         "because recovering a covariance can cost a smoother more than its update. Dashed, in runs of 1000 "
         "frames and more: the law a k^b that fits the medians of the second half; b stands in the legend, "
-        "and near 0 a frame costs what an early one does. One BLAS thread."
+        "and near 0 the cost no longer grows. One BLAS thread."
     ),
 )
 def plot_time(results: Results) -> Figure:
