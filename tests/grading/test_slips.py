@@ -185,9 +185,15 @@ from slamcmp.types import Estimate
 
 
 class Walker:
-    def __init__(self):
-        self.T, self.P = np.eye(3), np.eye(3)
+    SIZE = 3
+
+    def __init__(self, size=SIZE):
+        self.T, self.P = np.eye(size), np.eye(size)
         self.way = []
+
+    @staticmethod
+    def _step(x, y):
+        return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
     def update(self, frame):
         if frame.k > 0:
@@ -198,7 +204,7 @@ class Walker:
         G = np.eye(3)
         G[0, 2] = frame.x
         G[1, :2] = frame.far[2:]
-        self.T = self.T @ np.array([[1.0, 0.0, frame.x], [0.0, 1.0, frame.y], [0.0, 0.0, 1.0]])
+        self.T = self.T @ self._step(frame.x, frame.y)
         self.P = G @ self.P @ G.T + frame.Q * len(self.way)
 
     def estimate(self):
@@ -237,6 +243,34 @@ def said_of_walker(old: str, new: str) -> str:
 def test_a_slip_in_a_class_is_known_by_its_drives(old: str, new: str, wanted: str) -> None:
     said = said_of_walker(old, new)
     assert said.startswith(wanted) if wanted else said == ""
+
+
+PLACES = """
+import numpy as np
+
+
+def places(count):
+    out = []
+    for k in range(0, count, 2):
+        out.append(np.array([k, k * k + 1.0]))
+    return out
+"""
+
+
+@pytest.mark.parametrize(
+    ("student", "wanted"),
+    [
+        ("range(0, count - 1, 2)", "there were one step less"),
+        ("range(0, count + 1, 2)", "there were one step more"),
+        # Not one step more: another step.
+        ("range(0, count, 3)", "a number in it were another one"),
+    ],
+)
+def test_a_list_that_is_too_short_or_too_long_tells_its_slip(student: str, wanted: str) -> None:
+    asked = Remembering(TrustedImplementation(module(PLACES.replace("range(0, count, 2)", student))))
+    for count in range(4, 12):
+        asked.call("places", count)
+    assert SlipSearch(PLACES, frozenset({"places"})).said("places", asked.answers).startswith(wanted)
 
 
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in SHIPPED.glob("*/assignment.yaml")))

@@ -64,4 +64,6 @@ def changes_without_first(node: ast.For, number: str) -> Iterator[Change]:
         if isinstance(each, ast.If):
             both = ast.If(ast.BoolOp(ast.And(), [each.test, later]), each.body, each.orelse)
             body = [*node.body[:place], both, *node.body[place + 1 :]]
-            yield Change("the first of several were left out", ast.For(node.target, node.iter, body, []))
+            yield Change(
+                "the first of several were left out", ast.For(node.target, node.iter, body, node.orelse)
+            )

@@ -140,9 +140,11 @@ def changes_of_call(node: ast.Call) -> Iterator[Change]:
         in_columns = transpose(ast.Call(node.func, arguments[::-1], []))
         yield Change("numbers were put into rows in another order", in_columns, (owner,))
     if name in ("range", "arange") and arguments:
+        last = min(1, len(arguments) - 1)
         for text, by in (("there were one step more", 1), (STEP_LESS, -1)):
-            more = ast.BinOp(arguments[-1], ast.Add(), ast.Constant(by))
-            yield Change(text, ast.Call(node.func, [*arguments[:-1], more], []), (arguments[-1],))
+            ended = list(arguments)
+            ended[last] = ast.BinOp(arguments[last], ast.Add(), ast.Constant(by))
+            yield Change(text, ast.Call(node.func, ended, []), (arguments[last],))
         if len(arguments) > 1:
             for by in (1, -1):
                 ends = [ast.BinOp(each, ast.Add(), ast.Constant(by)) for each in arguments[:2]]

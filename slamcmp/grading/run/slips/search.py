@@ -146,12 +146,13 @@ class SlipSearch:
         namespace = self._module.__dict__
         owner: ModuleType | type = getattr(self._module, slip.changed) if slip.method else self._module
         name = slip.method or slip.changed
-        of_module, before = namespace.get(name), getattr(owner, name)
-        exec(slip.code, namespace)
-        if slip.method:
-            setattr(owner, name, namespace.pop(name))
-            if of_module is not None:
-                namespace[name] = of_module
+        # As where it was defined: decorators and defaults may speak of what the class has.
+        scope = dict(vars(owner))
+        before = scope[name]
+        # A default may be spoilt so that there is no definition: then the solution stays as it is.
+        with contextlib.suppress(Exception):
+            exec(slip.code, namespace, scope)
+        setattr(owner, name, scope[name])
         try:
             yield
         finally:
@@ -198,8 +199,8 @@ def _is_silent(answer: Any) -> bool:
 
 def _tells(answer: Any, expected: Any) -> bool:
     """Whether a wrong answer says how it came about: nothing does that is not finite, or zero all through."""
-    fewer = sum(1 for _ in leaves(answer)) != sum(1 for _ in leaves(expected))
-    if isinstance(answer, str) or not (fewer or differs_in_numbers(answer, expected)):
+    other_count = sum(1 for _ in leaves(answer)) != sum(1 for _ in leaves(expected))
+    if isinstance(answer, str) or not (other_count or differs_in_numbers(answer, expected)):
         return False
     try:
         numbers = [np.asarray(leaf, dtype=np.float64) for _, leaf in leaves(answer) if leaf is not None]
@@ -211,11 +212,10 @@ def _tells(answer: Any, expected: Any) -> bool:
 def _is_yes_or_no(answer: Any, expected: Any) -> bool:
     """Whether an answer is wrong in truth values only: of those many a mistake turns the same few."""
     wanted = dict(leaves(expected))
-    return all(
-        np.asarray(leaf).dtype.kind == "b"
-        for path, leaf in leaves(answer)
-        if path not in wanted or not answered_alike(leaf, wanted[path])
-    )
+    wrong = [
+        leaf for path, leaf in leaves(answer) if path not in wanted or not answered_alike(leaf, wanted[path])
+    ]
+    return bool(wrong) and all(np.asarray(leaf).dtype.kind == "b" for leaf in wrong)
 
 
 def _is_choice(answer: Any) -> bool:
