@@ -150,10 +150,15 @@ def _numbers(values: ArrayLike, digits: int = 5) -> list[float | None]:
     ]
 
 
-def _line(x: ArrayLike, y: ArrayLike, **more: Any) -> dict[str, Any]:
+def _times(values: ArrayLike) -> list[float]:
+    """For JSON: seconds to the millisecond; a log's own clock may count from 1970."""
+    return [round(float(value), 3) for value in np.asarray(values, dtype=float)]
+
+
+def _line(t: ArrayLike, y: ArrayLike, **more: Any) -> dict[str, Any]:
     kept = kept_indices(y)
     return {
-        "x": _numbers(np.asarray(x, dtype=float)[kept]),
+        "x": _times(np.asarray(t, dtype=float)[kept]),
         "y": _numbers(np.asarray(y, dtype=float)[kept]),
         **more,
     }
@@ -177,7 +182,7 @@ def _map(results: Results) -> dict[str, Any] | None:
         for which in ("online", "final", "true"):
             if has_values(own, [f"{which}_x"]):
                 run[which] = [_numbers(own[f"{which}_{axis}"].to_numpy(float)[path]) for axis in "xy"]
-        run["steps"] = {"t": _numbers(shown["t"]), "x": _numbers(shown["online_x"])}
+        run["steps"] = {"t": _times(shown["t"]), "x": _numbers(shown["online_x"])}
         run["steps"]["y"] = _numbers(shown["online_y"])
         if sights and has_values(shown, ["online_heading_rad"]):
             run["steps"]["heading"] = _numbers(shown["online_heading_rad"])

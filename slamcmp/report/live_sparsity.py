@@ -61,7 +61,7 @@ def _moment(stream: MeasurementStream, count: int) -> dict[str, Any]:
     left = marginalised(graph, kept)
     landmarks = list(dict.fromkeys(int(i) for frame in stream.frames[:count] for i in frame.ids))
     return {
-        "t": float(f"{stream.frames[count - 1].t:.5g}"),
+        "t": round(float(stream.frames[count - 1].t), 3),
         "names": [*(f"pose {k}" for k in range(count)), *(f"landmark {each}" for each in landmarks)],
         "edges": [[i, j] for i in graph for j in sorted(graph[i]) if j < i],
         "order": order,

@@ -160,6 +160,9 @@ def test_the_law_of_a_long_runs_cost_is_that_of_its_second_half(one_trial):
     assert (a, b) == (pytest.approx(0.3), pytest.approx(0.7))
     assert k[late].min() >= 1495.0
     assert fitted_law(k[:10], cost[:10]) is None
+    for count in (999, 1000):
+        times = pd.DataFrame({"k": np.arange(count), "update_s": 1e-3})
+        assert (fitted_law(*binned_times(times, "k", "update_s")[:2]) is not None) == (count == 1000)
     # A run of 2400 frames whose update costs as the square root of the frame.
     own = one_trial.frames[one_trial.frames["label"] == "isam2"]
     long = pd.concat([own.assign(k=own["k"] + len(own) * lap) for lap in range(20)])

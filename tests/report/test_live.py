@@ -106,6 +106,13 @@ def test_data_holds_the_tables_numbers(swept):
     assert final["labels"] == ["isam2", "batch"]
 
 
+def test_a_clock_that_counts_from_1970_still_ticks(one_trial):
+    late = dataclasses.replace(one_trial, frames=one_trial.frames.assign(t=one_trial.frames["t"] + 1.25e9))
+    figures = live_figures(late)
+    for times in (figures["map"]["runs"][0]["steps"]["t"], figures["errors"]["panels"][0]["traces"][0]["x"]):
+        assert np.diff(times).min() > 0
+
+
 def test_names_cannot_leave_the_script(one_trial):
     hostile = "</script><img src=x>"
     trials, frames = (

@@ -86,7 +86,8 @@ def fitted_law(
     None where the run is shorter than :data:`LONG`, or costs nothing that a clock could see.
     """
     late = (position >= position.max() / 2) & (median > 0)
-    if position.max() + 1 < LONG or late.sum() < 3:
+    # Positions are the middles of groups: half of the first is before it, half of the last behind it.
+    if position.min() + position.max() + 1 < LONG or late.sum() < 3:
         return None
     b, log_a = np.polyfit(np.log(position[late]), np.log(median[late]), 1)
     return float(np.exp(log_a)), float(b), late
