@@ -14,7 +14,7 @@ import importlib
 import inspect
 import pkgutil
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -159,9 +159,14 @@ def in_session(plugins: Mapping[str, Plugin]) -> Iterator[None]:
 def did_you_mean(name: str, known: Any) -> str:
     """``; did you mean 'x'? known: a, b, c``, ready to be appended to an error message."""
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    hint = near_miss(name, names)
     return f"{hint} Known: {', '.join(names)}" if hint else f"; known: {', '.join(names)}"
+
+
+def near_miss(name: str, known: Iterable[str]) -> str:
+    """``; did you mean 'x'?``, or nothing where no name is near."""
+    near = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def load_user_plugin(spec: str, registry: Registry) -> Plugin:

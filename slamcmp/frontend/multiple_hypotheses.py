@@ -30,7 +30,7 @@ from slamcmp.association.assignments import Choice, assignments
 from slamcmp.association.compatibility import NOBODY, gate
 from slamcmp.errors import UsageError
 from slamcmp.frontend.associated import Seen, true_labels, usable
-from slamcmp.frontend.polar_map import PolarMap
+from slamcmp.frontend.polar_map import NEAREST_M, PolarMap
 from slamcmp.registry import front_ends
 from slamcmp.types import Association, FloatArray, Frame, FrontEndReport, IntArray, Log, MeasurementStream
 from slamcmp.types.association import NO_LANDMARK
@@ -143,7 +143,7 @@ def _view(points: FloatArray) -> float:
         return 1.0
     r = float(np.percentile(np.linalg.norm(points, axis=1), 99.0))
     half = float(np.percentile(np.abs(np.arctan2(points[:, 1], points[:, 0])), 99.0))
-    return max(half, NARROWEST) * r**2
+    return max(half, NARROWEST) * max(r, NEAREST_M) ** 2
 
 
 class _Landmark(NamedTuple):

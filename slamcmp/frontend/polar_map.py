@@ -26,6 +26,8 @@ from slamcmp.types import FloatArray, IntArray
 
 NEAREST_M = 0.5
 """Landmarks nearer than this move straight: around the robot itself there is no bearing."""
+JOINED_M = 1e-3
+"""How far apart two landmarks that are one may be [m]; zero would leave P singular."""
 
 
 class PolarMap(OwnMap):
@@ -86,10 +88,6 @@ class PolarMap(OwnMap):
         columns = (R @ rows.T[SCALES:].reshape(-1, 2, size)).reshape(-1, size)
         turned = np.concatenate([rows.T[:SCALES], columns])
         self.P = 0.5 * (turned + turned.T)
-
-
-JOINED_M = 1e-3
-"""How far apart two landmarks that are one may be [m]; zero would leave P singular."""
 
 
 def _polar(q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -96,8 +96,7 @@ class FixedLag:
         self._builder = GraphBuilder(problem, robust=robust, robust_width=robust_width)
         self._lag = lag_frames
         self._drop = landmarks == "drop"
-        bounded = most_landmarks is not None and not self._drop
-        self._recent = RecentLandmarks(most_landmarks) if bounded and most_landmarks else None
+        self._recent = None if most_landmarks is None or self._drop else RecentLandmarks(most_landmarks)
         self._incremental = mode == "incremental"
         self._extra_updates = extra_updates if self._incremental else 0
         self._smoother: Any

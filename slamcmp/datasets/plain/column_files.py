@@ -8,7 +8,6 @@ left out, and that is told.
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import dataclass, field
 from math import pi
@@ -18,6 +17,7 @@ import numpy as np
 
 from slamcmp.datasets.text import number, text_lines, whole
 from slamcmp.errors import DataError, MissingDataError
+from slamcmp.registry import near_miss
 from slamcmp.support.files.paths import is_file
 from slamcmp.types import FloatArray
 
@@ -107,9 +107,9 @@ def read_table(path: Path) -> Table:
             units = ", ".join(f"{title}_{unit}" for unit in UNITS[QUANTITIES[title]])
             raise DataError(f"{path}: column {title!r} has no unit; one of {units} is needed")
         else:
-            near = difflib.get_close_matches(title, [*known, ID], n=1, cutoff=0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            table.warnings.append(f"{path.name}: column {header[place]!r} is not used{hint}")
+            table.warnings.append(
+                f"{path.name}: column {header[place]!r} is not used{near_miss(title, [*known, ID])}"
+            )
     return table
 
 

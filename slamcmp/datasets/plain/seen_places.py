@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 
 import numpy as np
 
@@ -27,11 +27,9 @@ def seen_places(table: Table, at: FloatArray) -> dict[int, FloatArray]:
     else:
         return {}
     places = np.einsum("kij,kj->ki", at[:, :2, :2], body) + at[:, :2, 3]
-    known = np.isfinite(places).all(axis=1)
-    names = table.ids or []
-    counts = Counter(names[k] for k in np.flatnonzero(known).tolist())
-    return {
-        name: np.median(places[[k for k in np.flatnonzero(known).tolist() if names[k] == name]], axis=0)
-        for name, count in counts.items()
-        if name is not None and count >= LEAST_SIGHTINGS
-    }
+    rows: defaultdict[int, list[int]] = defaultdict(list)
+    for k in np.flatnonzero(np.isfinite(places).all(axis=1)).tolist():
+        name = None if table.ids is None else table.ids[k]
+        if name is not None:
+            rows[name].append(k)
+    return {name: np.median(places[own], axis=0) for name, own in rows.items() if len(own) >= LEAST_SIGHTINGS}
