@@ -118,8 +118,9 @@ class SlidingWindow:
         # Weights take more than one step, even of a cost that is linear.
         self._one_step = iterations == 1 or (self._frozen and self._kernel is None)
         self._drop_unseen = landmarks == "drop_unseen"
-        unbounded = most_landmarks is None or self._drop_unseen
-        self._recent = None if unbounded else RecentLandmarks(most_landmarks)
+        self._recent = (
+            None if most_landmarks is None or self._drop_unseen else RecentLandmarks(most_landmarks)
+        )
         self._max_chi2_per_dof = max_chi2_per_dof
         self._solution: Solution
         self._chi2: float | None = None
