@@ -62,6 +62,13 @@ def test_each_figure_over_frames_and_the_page_say_what_is_left_out(many, monkeyp
     )
 
 
+def test_what_is_left_out_of_a_sweep_counts_its_other_points_too(swept, many, monkeypatch):
+    monkeypatch.setattr(drawable, "MOST_ROWS", len(many.frames))
+    part, of = drawable.drawn_part(swept), swept.frames["trial"].nunique()
+    assert set(part.frames["trial"]) == set(many.frames["trial"])
+    assert drawable.part_text(part, swept) == f"curves over frames: 6 of {of} trials"
+
+
 def test_published_numbers_are_judged_by_every_run(many, monkeypatch):
     monkeypatch.setattr(drawable, "MOST_ROWS", 1)
     metric, label = "ensemble_position_rmse", many.trials["label"].iloc[0]

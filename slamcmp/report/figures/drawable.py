@@ -55,8 +55,8 @@ def drawn_part(results: Results) -> Results:
 
 
 def part_text(part: Results, whole: Results) -> str:
-    """``curves over frames: 400 of 4000 trials``; nothing where the part is the whole."""
+    """``curves over frames: 400 of 4000 trials``, of all grid points; nothing where the part is the whole."""
     if part is whole:
         return ""
-    of = at_point(whole.trials, middle_point(whole))["trial"].nunique()
-    return f"curves over frames: {part.frames['trial'].nunique()} of {of} trials"
+    shown, of = part.frames["trial"].nunique(), whole.frames["trial"].nunique()
+    return f"curves over frames: {shown} of {of} trials"
