@@ -294,8 +294,9 @@ def _fact_text(value: Any) -> str:
     if isinstance(value, Mapping) and "sha" in value:
         return f"{value['sha']}{' with uncommitted changes' if value.get('dirty') else ''}"
     if isinstance(value, Mapping):
-        # Counts of the front end: what never happened need not be told.
-        return ", ".join(f"{str(name).replace('_', ' ')} {each}" for name, each in value.items() if each)
+        # Counts of the front end: a stage that removed nothing need not be told; that nothing is left has to.
+        told = {name: each for name, each in value.items() if each or name in ("raw", "kept")}
+        return ", ".join(f"{str(name).replace('_', ' ')} {each}" for name, each in told.items())
     if isinstance(value, list):
         return " ".join(str(each) for each in value)
     return f"{value:.1f}" if isinstance(value, float) else str(value)

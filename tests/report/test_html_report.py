@@ -409,11 +409,11 @@ def test_page_tells_how_to_repeat_it(one_trial):
         **one_trial.manifest,
         "config": {"figures": ["time"]},
         "commit": {"sha": "abc1234", "dirty": True},
-        "front_end_totals": {"raw": 120, "kept": 100},
+        "front_end_totals": {"raw": 120, "not_finite": 0, "too_far": 120, "kept": 0},
     }
     text = report_html(dataclasses.replace(one_trial, manifest=manifest))
     assert "abc1234 with uncommitted changes" in text
-    assert "raw 120, kept 100" in text
+    assert "raw 120, too far 120, kept 0" in text
     assert "numpy 2.3.4, slamcmp 0.1.0" in text
 
 
