@@ -88,4 +88,7 @@ def test_columns_that_the_page_does_not_read_stay_in_the_file(many, tmp_path):
     assert set(whole.frames.columns) - set(lean.frames.columns) == set(NOT_ON_THE_PAGE) & set(whole.frames)
     pd.testing.assert_frame_equal(lean.frames, whole.frames[lean.frames.columns])
     pd.testing.assert_frame_equal(lean.trials, whole.trials)
-    assert report_html(lean) == report_html(whole)
+    page = report_html(lean)
+    assert str(many.trials["digest"].iloc[0])[:12] in page
+    # What a figure that wanted one of them would say.
+    assert "drawing it failed" not in page
