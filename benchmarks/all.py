@@ -124,8 +124,7 @@ def of_levels(found: Any) -> list[tuple[str, float, float | None]]:
 
 
 def of_large_report(found: Any) -> list[tuple[str, float, float | None]]:
-    limits = {"seconds": 60.0, "GiB": 4.0, "page_MB": 8.0}
-    return [(f"{name}, of {most:g}", found[name] / most, 1.0) for name, most in limits.items()]
+    return [(f"{name}, of {most:g}", found[name] / most, 1.0) for name, most in found["limits"].items()]
 
 
 def of_peers(found: Any) -> list[tuple[str, float, float | None]]:

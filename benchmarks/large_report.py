@@ -23,6 +23,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -50,7 +51,7 @@ def repeated(results: Results, times: int, folder: Path) -> Results:
     return replace(results, folder=folder, **tables)
 
 
-def measure(rows: int) -> dict[str, float]:
+def measure(rows: int) -> dict[str, Any]:
     """Seconds and peak memory of ``slamcmp report``, and the size of its page."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -69,7 +70,7 @@ def measure(rows: int) -> dict[str, float]:
         # Of all children the largest: making the two seeds' runs takes a tenth of it. Kilobytes on Linux.
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         page = (folder / "many" / "report.html").stat().st_size
-    return {"rows": count, "seconds": seconds, "GiB": peak / 2**20, "page_MB": page / 1e6}
+    return {"rows": count, "seconds": seconds, "GiB": peak / 2**20, "page_MB": page / 1e6, "limits": LIMITS}
 
 
 def main() -> None:

@@ -37,7 +37,7 @@ class Isam2:
 
     Nothing leaves the graph: memory grows with the length of the run, and with every place that is seen again
     so does the part that a frame touches. For runs without an end take ``fixed_lag`` or ``sliding_window``,
-    whose frames stay bounded.
+    whose frames stay bounded by default.
 
     Args:
         problem: prior and sensor.

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from slamcmp.results.grid import at_point, middle_point
+import numpy as np
+import pandas as pd
+
+from slamcmp.results.grid import at_point, middle_point, swept_columns
 from slamcmp.results.store import Results
 
 
@@ -39,19 +43,28 @@ MOST_ROWS = 1_000_000
 def drawn_part(results: Results) -> Results:
     """These results with the frames that figures show: where there are very many, those of the first trials.
 
-    Of the middle grid point, which is what figures over frames show, with the trial that stands for it. The
-    table of trials is whole; results of :data:`MOST_ROWS` frames or fewer are themselves.
+    The trial that stands for all, then the middle grid point's up to half of :data:`MOST_ROWS`, then seed by
+    seed every point's. The table of trials is whole; results of no more frames are themselves.
     """
     frames = results.frames
     if len(frames) <= MOST_ROWS:
         return results
-    rows = frames["trial"].value_counts()
+    trials = results.trials.drop_duplicates("trial")
     shown = typical_trial(results)
-    others = at_point(results.trials, middle_point(results))["trial"].drop_duplicates()
-    order = [shown, *(int(trial) for trial in others if trial != shown)]
-    sums = rows.reindex(order, fill_value=0).cumsum()
-    kept = sums.index[(sums <= MOST_ROWS) | (sums.index == shown)]
+    swept = swept_columns(trials)
+    turn = trials.groupby(swept, dropna=False).cumcount() if swept else pd.Series(0, index=trials.index)
+    everywhere = trials["trial"].iloc[np.argsort(turn.to_numpy(), kind="stable")]
+    rows = frames["trial"].value_counts()
+    first = _within(rows, [shown, *at_point(trials, middle_point(results))["trial"]], MOST_ROWS // 2)
+    kept = _within(rows, [shown, *first, *everywhere], MOST_ROWS)
     return replace(results, frames=frames[frames["trial"].isin(kept)])
+
+
+def _within(rows: pd.Series[int], trials: Sequence[int], most: int) -> list[int]:
+    """As many of these trials, in order, as have no more rows together; the first one whatever it has."""
+    order = list(dict.fromkeys(int(trial) for trial in trials))
+    sums = rows.reindex(order, fill_value=0).cumsum().to_numpy()
+    return order[: max(1, int((sums <= most).sum()))]
 
 
 def part_text(part: Results, whole: Results) -> str:
