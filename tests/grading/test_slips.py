@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -11,7 +12,9 @@ import pytest
 from slamcmp.grading.assignment.description import find_assignment, load_assignment, load_source
 from slamcmp.grading.assignment.handout import SHIPPED
 from slamcmp.grading.run.implementations import Remembered, Remembering, TrustedImplementation
+from slamcmp.grading.run.slips.kinds import SORTED
 from slamcmp.grading.run.slips.making import slips
+from slamcmp.grading.run.slips.pieces import changes_of_part
 from slamcmp.grading.run.slips.search import SlipSearch
 
 SOLUTION = '''
@@ -283,3 +286,17 @@ def test_no_text_names_more_of_the_solution_than_what_the_starter_does(name: str
     assert len({slip.kind for slip in made}) > 15
     assert {word for slip in made for word in slip.part if word not in starter} == set()
     assert {slip.named for slip in made if slip.named and slip.named.split()[0] not in starter} == set()
+
+
+@pytest.mark.parametrize(
+    ("chosen", "taken"), [(np.array([2, 0]), [5, 9]), (np.array([True, False, True]), [5, 9])]
+)
+def test_indices_are_sorted_and_masks_are_not(chosen: np.ndarray, taken: list[int]) -> None:
+    """A sorted mask takes others, which explained a landmark too many by chance."""
+    (change,) = (
+        each
+        for each in changes_of_part(ast.parse("sights[chosen]", mode="eval").body)  # type: ignore[arg-type]
+        if each.kind == SORTED
+    )
+    code = compile(ast.fix_missing_locations(ast.Expression(change.new)), "slip", "eval")  # type: ignore[arg-type]
+    assert eval(code, {"np": np, "sights": np.array([5, 7, 9]), "chosen": chosen}).tolist() == taken

@@ -26,6 +26,13 @@ def reversed(node: ast.expr) -> ast.expr:
     return ast.Subscript(node, step, ast.Load())
 
 
+def in_order(node: ast.expr) -> ast.expr:
+    """Sorted; a mask stays as it is: nobody sorts one, and sorted it picks others by chance."""
+    kind = ast.Attribute(call("np.asarray", node), "dtype", ast.Load())
+    is_no_mask = ast.Compare(kind, [ast.NotEq()], [ast.Name("bool", ast.Load())])
+    return ast.IfExp(is_no_mask, call("np.sort", node), node)
+
+
 def sliced(node: ast.expr, start: int | None, stop: int | None) -> ast.expr:
     ends = [None if end is None else ast.Constant(end) for end in (start, stop)]
     return ast.Subscript(node, ast.Slice(*ends), ast.Load())

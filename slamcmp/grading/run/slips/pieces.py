@@ -17,7 +17,7 @@ from slamcmp.grading.run.slips.kinds import (
     SORTED,
     Change,
 )
-from slamcmp.grading.run.slips.nodes import call, negative, reversed, sliced
+from slamcmp.grading.run.slips.nodes import call, in_order, negative, reversed, sliced
 
 
 def changes_of_parentheses(node: ast.BinOp) -> Iterator[Change]:
@@ -71,7 +71,7 @@ def changes_of_part(node: ast.Subscript) -> Iterator[Change]:
         elif isinstance(each, ast.Name):
             moved[number] = ast.Constant(0)
             yield Change(FIRST_FOR_ALL, _taken(node, moved), (node.value,))
-            moved[number] = call("np.sort", each)
+            moved[number] = in_order(each)
             yield Change(SORTED, _taken(node, moved), (node.value,))
         elif isinstance(each, ast.Call):
             for by in (1, -1):

@@ -44,6 +44,7 @@ from slamcmp.grading.run.slips.kinds import (
 from slamcmp.grading.run.slips.nodes import (
     call,
     called,
+    in_order,
     negative,
     reversed,
     sign_turned,
@@ -213,7 +214,7 @@ def changes_of_entry(name: str) -> Iterator[Change]:
         (DEGREES, "were in degrees", call("np.degrees", given)),
         (DEGREES, "were turned into radians once more", call("np.radians", given)),
         (REVERSED, "came in the reverse order", reversed(given)),
-        (SORTED, "were sorted", call("np.sort", given)),
+        (SORTED, "were sorted", in_order(given)),
     ):
         yield Change(kind, ast.Assign([ast.Name(name, ast.Store())], new), text=f"{name} {text}")
 
