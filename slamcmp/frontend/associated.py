@@ -14,7 +14,7 @@ difference between back ends is theirs. Labels that a log has are not looked at;
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -118,7 +118,7 @@ def associated(
         least_probability,
         sightings_as_one,
     )
-    ids, unusable, clear, points, counts = [], [], [], [], []
+    ids, unusable, clear, points = [], [], [], []
     for k, detections in enumerate(log.detections):
         seen, removed = usable(sensor, detections, range_max_m)
         associator.move(log.T_prev_body[k], log.Q[k])
@@ -131,12 +131,31 @@ def associated(
         for candidate in associator.candidates.rows:
             for frame, row in candidate.sightings:
                 ids[frame][row] = NO_LANDMARK if candidate.name is None else candidate.name
-    frames, kept = [], []
+    left_out = [[*each, int((~sure).sum())] for each, sure in zip(unusable, clear, strict=True)]
+    return decided_stream(log, STAGES, ids, left_out, points)
+
+
+def decided_stream(
+    log: Log,
+    stages: tuple[str, ...],
+    ids: Sequence[IntArray],
+    left_out: Sequence[Sequence[int]],
+    points: Sequence[FloatArray],
+) -> MeasurementStream:
+    """The stream of a front end that decided by itself whose each detection is, with its report.
+
+    Args:
+        log: what was detected.
+        stages: names of the report's stages; the last counts what is without a landmark in the end.
+        ids: (m,) of each frame's detections, ``NO_LANDMARK`` where one is not used.
+        left_out: of each frame, how many each stage before the last removed.
+        points: (m, n) of each frame, where its detections are in the body frame [m].
+    """
+    frames, kept, counts = [], [], []
     for k, detections in enumerate(log.detections):
         passed = ids[k] != NO_LANDMARK
-        not_clear = int((~clear[k]).sum())
-        unconfirmed = detections.ids.size - sum(unusable[k]) - not_clear - int(passed.sum())
-        counts.append([detections.ids.size, *unusable[k], not_clear, unconfirmed, int(passed.sum())])
+        without = detections.ids.size - sum(left_out[k]) - int(passed.sum())
+        counts.append([detections.ids.size, *left_out[k], without, int(passed.sum())])
         kept.append(passed)
         frames.append(
             Frame(
@@ -151,7 +170,7 @@ def associated(
             )
         )
     report = FrontEndReport(
-        STAGES,
+        stages,
         np.array(counts, dtype=np.int64),
         tuple(kept),
         association=Association(tuple(ids), true_labels(log), tuple(points)),

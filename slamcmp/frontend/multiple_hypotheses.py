@@ -29,10 +29,10 @@ from annotated_types import Ge, Gt, Lt
 from slamcmp.association.assignments import Choice, assignments
 from slamcmp.association.compatibility import NOBODY, gate
 from slamcmp.errors import UsageError
-from slamcmp.frontend.associated import Seen, true_labels, usable
+from slamcmp.frontend.associated import Seen, decided_stream, usable
 from slamcmp.frontend.polar_map import NEAREST_M, PolarMap
 from slamcmp.registry import front_ends
-from slamcmp.types import Association, FloatArray, Frame, FrontEndReport, IntArray, Log, MeasurementStream
+from slamcmp.types import FloatArray, IntArray, Log, MeasurementStream
 from slamcmp.types.association import NO_LANDMARK
 
 STAGES = ("not_finite", "range", "unconfirmed")
@@ -109,32 +109,7 @@ def multiple_hypotheses(
         tree.move(log.T_prev_body[k], log.Q[k])
         if each.rows.size:
             tree.branch(k, each)
-    ids = tree.decided(seen)
-    frames, kept, counts = [], [], []
-    for k, detections in enumerate(log.detections):
-        passed = ids[k] != NO_LANDMARK
-        total, out = int(passed.sum()), detections.ids.size - sum(removed[k]) - int(passed.sum())
-        counts.append([detections.ids.size, *removed[k], out, total])
-        kept.append(passed)
-        frames.append(
-            Frame(
-                k,
-                float(log.t[k]),
-                log.T_prev_body[k],
-                log.Q[k],
-                ids[k][passed],
-                detections.z[passed],
-                detections.R[passed],
-                relative_poses=None if log.relative_poses is None else log.relative_poses[k],
-            )
-        )
-    report = FrontEndReport(
-        STAGES,
-        np.array(counts, dtype=np.int64),
-        tuple(kept),
-        association=Association(tuple(ids), true_labels(log), tuple(each.all_points for each in seen)),
-    )
-    return MeasurementStream(log.problem, tuple(frames), report)
+    return decided_stream(log, STAGES, tree.decided(seen), removed, [each.all_points for each in seen])
 
 
 def _view(points: FloatArray) -> float:

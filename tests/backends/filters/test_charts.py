@@ -15,26 +15,8 @@ from slamcmp.backends.filters.error_state.charts import (
     RobocentricChart,
     WorldChart,
 )
-from slamcmp.backends.filters.robocentric import RobocentricEkf
-from slamcmp.backends.filters.variants import (
-    FirstEstimatesEkf,
-    IdealEkf,
-    ObservabilityConstrainedEkf,
-    RightInvariantEkf,
-    WorldEkf,
-)
-from tests.oracles.filters import BodyEkf
 
 CHARTS = (Chart, WorldChart, RightInvariantChart, LeftInvariantChart, RobocentricChart)
-FILTERS = (
-    WorldEkf,
-    FirstEstimatesEkf,
-    ObservabilityConstrainedEkf,
-    IdealEkf,
-    RightInvariantEkf,
-    RobocentricEkf,
-    BodyEkf,
-)
 
 
 def some_state(space_dim: int) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:

@@ -11,13 +11,6 @@ import pytest
 from slamcmp import geometry
 from slamcmp.backends.filters.covariances import covariance
 from slamcmp.backends.filters.ekf_slam import EkfSlam
-from slamcmp.backends.filters.error_state.charts import (
-    Chart,
-    LeftInvariantChart,
-    RightInvariantChart,
-    RobocentricChart,
-    WorldChart,
-)
 from slamcmp.backends.filters.error_state.linearisation import (
     FirstEstimates,
     LatestEstimate,
@@ -37,7 +30,6 @@ from slamcmp.protocols import Smoother
 from slamcmp.types import Frame, GroundTruth, Problem
 from tests.oracles.filters import BodyEkf, maker, run, world_of
 
-CHARTS = (Chart, WorldChart, RightInvariantChart, LeftInvariantChart, RobocentricChart)
 FILTERS = (
     WorldEkf,
     FirstEstimatesEkf,
